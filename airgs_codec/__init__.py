@@ -4,7 +4,7 @@
 
     airgs.encode("scene/", "scene.airgs", airgs.EncodeSettings(quality=0.6))
     package = airgs.open_package("scene.airgs")
-    gaussians = airgs.decode(package, 12, level="L1", key_quality="Q0")
+    gaussians = airgs.decode(package, 12, level="L1", keyframe_quality="Q0")
     airgs.draw(gaussians, package.cameras[0]).save("frame.png")
     log = airgs.simulate(package, "lte.csv", "robust-mpc")
 

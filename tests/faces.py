@@ -52,12 +52,12 @@ from airgs_codec.coding.motion import StepSettings, get_step, with_step
 
 # Packages: tables, paths, the MPD, validation
 from airgs_codec.package.layout import (
-    FileKind, INIT_NAME, JSON_NAME, KEY, MPD_NAME, POSTER_NAME, SOUND_INIT_NAME, STATE, file_kind, group_path,
-    key_media_path, key_sidecar_path, locate, page_path, sound_path, state_media_path,
+    FileKind, INIT_NAME, JSON_NAME, KEYFRAME, MPD_NAME, POSTER_NAME, SOUND_INIT_NAME, DELTA, file_kind, group_path,
+    keyframe_media_path, keyframe_sidecar_path, locate, page_path, sound_path, delta_media_path,
 )  # fmt: skip
 from airgs_codec.package.tables import (
-    Atlas, FileEntry, Grid, Group, KeySteps, LeftOut, MAX_PLACES, NO_FILE, PAGE, Place, Region, STATIC, Segment,
-    Sound, StateSteps, World, digest, file_entry,
+    Atlas, FileEntry, Grid, Group, KeyframeSteps, LeftOut, MAX_PLACES, NO_FILE, PAGE, Place, Region, STATIC, Segment,
+    Sound, DeltaSteps, World, digest, file_entry,
 )  # fmt: skip
 from airgs_codec.package.manifest import (
     GroupIndex, Groups, Manifest, build_index, count_groups, extend_index, on_ladder, quality_of,
@@ -86,7 +86,7 @@ from airgs_codec.inspect.compare import (
 
 # Decoding
 from airgs_codec.decoder.decode import (
-    decode, decode_canonical, decode_frames, decode_key, decode_pictures, decode_segment,
+    decode, decode_canonical, decode_frames, decode_keyframe, decode_pictures, decode_segment,
 )  # fmt: skip
 
 # Rendering and measuring pictures

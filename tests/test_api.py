@@ -205,7 +205,7 @@ def test_a_path_is_encoded_repaired_with_its_attribution_and_decoded_by_names_or
     assert package.manifest.attribution == "points by nobody" and airgs.validate(tmp_path / "a.airgs") == []
     repaired = " ".join(package.manifest.groups[0].repairs)
     assert "1 Gaussians that are not finite" in repaired and "1 Gaussians with zero quaternions" in repaired
-    by_name, by_number = (airgs.decode(package, 1, level=j, key_quality=q) for j, q in (("L2", "Q1"), (2, 1)))
+    by_name, by_number = (airgs.decode(package, 1, level=j, keyframe_quality=q) for j, q in (("L2", "Q1"), (2, 1)))
     assert isinstance(by_name, airgs.Gaussians) and (by_name.means == by_number.means).all()
     seen = airgs.Sequence.from_arrays(frames, cameras=[airgs.Camera.look_at((0, 0, -4), (0, 0, 0), size=(64, 48))])
     assert airgs.compare(package, str(tmp_path / "a.airgs"), frames=range(1)).quality.psnr == 100

@@ -71,8 +71,8 @@ def constants() -> dict[ModuleType, dict[str, Any]]:
         layout: {"ROOT_PATH": layout.JSON_NAME, "INIT_PATH": layout.INIT_NAME, "POSTER_PATH": layout.POSTER_NAME}
         | {"SOUND_INIT_PATH": layout.SOUND_INIT_NAME}
         | {"PATHS": [[f"^{pattern}$", what] for pattern, what in layout.PATTERNS.items()]}
-        | _channels(layout.KEY)
-        | _channels(layout.STATE),
+        | _channels(layout.KEYFRAME)
+        | _channels(layout.DELTA),
         region: _same(region, "LEAST_SCALE", "MOST_SCALE")
         | {"WORLD_TOLERANCE": parse.TOLERANCE}
         | _same(region, "AGREEMENT", "LEVELLING", "FORGIVEN_DEGREES", "FORGIVEN_SHARE"),

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.package.tables import STATE_ATTRIBUTES
+from airgs_codec.package.tables import DELTA_ATTRIBUTES
 from airgs_codec.render import Camera, Contribution
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.render.cpu import RasterInputs
@@ -56,8 +56,8 @@ class Sensitivity(Columns):
     sh_rest: NDArray[np.float64]  # (N,)
 
     def by_attribute(self) -> NDArray[np.float64]:
-        """(6, N) the same as one array, in the order of `package.tables.STATE_ATTRIBUTES`."""
-        return np.stack([getattr(self, name) for name in STATE_ATTRIBUTES])
+        """(6, N) the same as one array, in the order of `package.tables.DELTA_ATTRIBUTES`."""
+        return np.stack([getattr(self, name) for name in DELTA_ATTRIBUTES])
 
 
 def measure_sensitivity(

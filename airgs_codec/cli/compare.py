@@ -62,7 +62,7 @@ class Compare(BakingOptions):
     b: str = required("what is compared with it, either as well")
     frames: str = setting(":", FRAMES, metavar="A:B", default="all that both have")
     every: int = setting(1, EVERY, least=1)
-    rung: str | None = setting(None, "key quality and level of the package, of B where both are", default="Q0+L0")
+    rung: str | None = setting(None, "keyframe quality and level of the package, of B where both are", default="Q0+L0")
     views: Path | None = setting(None, f"{VIEWS}{FORMS}", default="those of A, B or a package's region, or an orbit")
     output: Path | None = setting(
         None, "write pictures of A, B and their difference: worst.png, typical.png", alias="-o", metavar="DIR"

@@ -19,7 +19,7 @@ from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.region import background_of, misread
 from airgs_codec.places.whole import atomic_path
-from airgs_codec.scene.formats.table import KEYS, Numbered, choose_target, write_frames
+from airgs_codec.scene.formats.table import KEYFRAMES, Numbered, choose_target, write_frames
 
 ROWS_NAME = "rows.npz"  # an array for each frame, named by its number
 
@@ -31,10 +31,10 @@ class Decode:
         "folder for the frames, 000000.ply and on, or a file whose name ends in a format", alias="-o", metavar="PLACE"
     )
     format: str | None = setting(
-        None, "form of the files", choices=KEYS, metavar="FORMAT", default="what the output's name ends in, or ply"
+        None, "form of the files", choices=KEYFRAMES, metavar="FORMAT", default="what the output's name ends in, or ply"
     )
-    level: str = setting("L0", "state level: L0, L1, … or its number")
-    key_quality: str = setting("Q0", "key quality: Q0, Q1, … or its number")
+    level: str = setting("L0", "delta level: L0, L1, … or its number")
+    keyframe_quality: str = setting("Q0", "keyframe quality: Q0, Q1, … or its number")
     frames: str = setting(":", FRAMES, metavar="A:B", default="all")
     against: str | None = setting(
         None, f"the original: write which of its rows every row is to {ROWS_NAME} beside the frames", metavar="SEQUENCE"
@@ -51,7 +51,10 @@ def decode(options: Decode) -> int:
     """Decode a package to .ply or other splat files."""
     package = open_package(options.package)
     m = package.manifest
-    level, quality = m.levels[m.level_index(options.level)].id, m.qualities[m.quality_index(options.key_quality)].id
+    level, quality = (
+        m.levels[m.level_index(options.level)].id,
+        m.qualities[m.quality_index(options.keyframe_quality)].id,
+    )
     start, stop = parse_range(options.frames, m.frames)
     target = choose_target(options.output, options.format, stop - start)
     folder = target.path if target.folder else target.path.parent
@@ -68,7 +71,7 @@ def decode(options: Decode) -> int:
         with atomic_path(folder / ROWS_NAME) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, **rows)
     notes = misread(m.world, target.form.name, target.form.axes)
-    report = {"frames": [start, stop], "level": level, "key_quality": quality, "output": options.output}
+    report = {"frames": [start, stop], "level": level, "keyframe_quality": quality, "output": options.output}
     report |= {"format": target.form.key, "lost": lost, "notes": notes}
     words = f"{stop - start} frames of {quality} + {level} in {options.output}"
     say(json.dumps(report) if options.json else "\n".join([words, *lost, *notes]))
@@ -76,7 +79,7 @@ def decode(options: Decode) -> int:
 
 
 def _decoded(package: Package, frames: tuple[int, int], rung: tuple[str, str], bar: Bar) -> Iterator[Numbered]:
-    """Frames of a level and key quality with their numbers; each counts as done when the next is asked for."""
-    for frame in decode_frames(package, *frames, level=rung[0], key_quality=rung[1]):
+    """Frames of a level and keyframe quality with their numbers; each counts as done when the next is asked for."""
+    for frame in decode_frames(package, *frames, level=rung[0], keyframe_quality=rung[1]):
         yield frame.number, frame.gaussians
         bar("decoding", frame.number - frames[0] + 1, frames[1] - frames[0])

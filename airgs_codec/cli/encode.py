@@ -83,7 +83,7 @@ class Encode(BakingOptions, WorkOptions):
     preset: str = setting(
         "default",
         "settings to begin with: quick is a first look; it makes no trial encodes; paper has eleven levels pruned by "
-        "usage alone, equal steps, one key",
+        "usage alone, equal steps, one keyframe",
         choices=tuple(PRESETS),
     )
     settings: Given = given(EncodeSettings, "encoder", EVERYDAY)
@@ -161,7 +161,7 @@ def encode(options: Encode) -> int:
         say(f"sound: {options.audio}: {sound.note}")
     sequence = replace(sequence, credit=options.attribution or sequence.attribution, sound_track=sound)
     frames = min(settings.group_frames, len(sequence))
-    waiting = 2 * options.jobs * frames * max(header.bytes for header in sequence.headers)  # states of groups
+    waiting = 2 * options.jobs * frames * max(header.bytes for header in sequence.headers)  # deltas of groups
     if (free := shutil.disk_usage(tempfile.gettempdir()).free) < waiting:
         raise ConfigError(f"{tempfile.gettempdir()}: expected {waiting / 1e9:.1f} GB of room, got {free / 1e9:.1f} GB")
     if options.track and settings.rows != AUTO:

@@ -80,7 +80,7 @@ def _as_words(published: PublishedGroup) -> str:
     group = published.group
     quality = [level.psnr[0] for segment in group.segments for level in segment.levels[:1] if level.psnr]
     shown = f", {min(quality):.1f} dB at least" if quality else ""
-    shown += f", key by its difference to group {group.keeps}" if group.keeps else ""
+    shown += f", keyframe by its difference to group {group.keeps}" if group.keeps else ""
     size = _bytes(published) / (group.stop - group.start) / 1e3
     return (
         f"group {published.number}: frames {group.start}-{group.stop - 1}, {size:.1f} kB/frame on the top rung{shown}, "
@@ -90,5 +90,5 @@ def _as_words(published: PublishedGroup) -> str:
 
 def _bytes(published: PublishedGroup) -> int:
     group = published.group
-    keys = sum(tier.sidecar.bytes + tier.pictures[0].bytes for tier in group.tiers)
-    return keys + sum(segment.levels[0].file.bytes for segment in group.segments)
+    keyframes = sum(tier.sidecar.bytes + tier.pictures[0].bytes for tier in group.tiers)
+    return keyframes + sum(segment.levels[0].file.bytes for segment in group.segments)

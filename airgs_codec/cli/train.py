@@ -42,7 +42,7 @@ if TYPE_CHECKING:  # torch is imported when training begins
     from airgs_codec.trainer.record import FrameRecord, Model
 
 DEFAULTS = TrainSettings()
-FIT_ITERATIONS = ("first_iterations", "key_iterations", "frame_iterations")
+FIT_ITERATIONS = ("first_iterations", "keyframe_iterations", "frame_iterations")
 EFFORTS = {"quick": 0.4, "normal": 1.0, "high": 2.5}
 MATCHED_DB = 0.2  # that held-out views gain by matching their exposure, from which a frame says so
 PAGE_SHARE = 10  # times as long as it takes to write a page is trained before the next one
@@ -78,7 +78,7 @@ class Train(WorkOptions):
     iterations: str | None = setting(
         None,
         "iterations of a first frame, a keyframe and any other frame "
-        f"(default: {FIRST},{DEFAULTS.key_iterations},{DEFAULTS.frame_iterations}); "
+        f"(default: {FIRST},{DEFAULTS.keyframe_iterations},{DEFAULTS.frame_iterations}); "
         f"of a first frame at least {FIRST_A_VIEW} for each view",
         metavar="FIRST,KEY,FRAME",
     )
@@ -211,7 +211,7 @@ def _settings(options: Train, usual: TrainSettings, views: int = 1) -> TrainSett
     base, names = preset(options.preset, usual), FIT_ITERATIONS
     counts: dict[str, int] = {}
     if (factor := EFFORTS[options.effort]) != 1:
-        known = (base.iterations_from_scratch(views), base.key_iterations, base.frame_iterations)
+        known = (base.iterations_from_scratch(views), base.keyframe_iterations, base.frame_iterations)
         counts = {name: round(factor * count) for name, count in zip(names, known, strict=True)}
     if options.iterations is not None:
         try:
@@ -308,7 +308,7 @@ def frame_line(r: FrameRecord) -> str:
     held_out = "" if r.held_out_psnr is None else f", held-out {r.held_out_psnr:.2f}"
     if r.held_out_psnr and r.held_out_matched and r.held_out_matched - r.held_out_psnr >= MATCHED_DB:
         held_out += f" ({r.held_out_matched:.2f} with exposure matched)"
-    kind = {"first": "  first frame", "frame": "", "key": f"  keyframe, {r.added:+,} Gaussians"}[r.kind]
+    kind = {"first": "  first frame", "frame": "", "keyframe": f"  keyframe, {r.added:+,} Gaussians"}[r.kind]
     if r.cleared:
         kind += f"  ({r.cleared:,} removed that hung before viewers)"
     if r.rejected_psnr is not None:

@@ -1,8 +1,8 @@
 """Attributes of Gaussians <-> channels of atlases: `ATTRIBUTES` has both directions side by side (FORMAT.md §5).
 
-Channels are differences to a canonical space: those of a state to that of its group, those of a key to `blank_space`.
-Their order is `package.layout`'s. N rows of all decoded tiers, n rows of a level, T frames, C colour channels, c
-channels. The encoder works in float64, the decoder in float32 but for canonical means.
+Channels are differences to a canonical space: those of a delta to that of its group, those of a keyframe to
+`blank_space`. Their order is `package.layout`'s. N rows of all decoded tiers, n rows of a level, T frames, C colour
+channels, c channels. The encoder works in float64, the decoder in float32 but for canonical means.
 
 A colour is the K + 1 SH coefficients of a row, C = 3 (1 + K); the KLT that decorrelates colours takes them in units of
 their steps.
@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 
 from airgs_codec.coding import kernels
 from airgs_codec.coding.motion import motion_units
-from airgs_codec.coding.sidecar import KeySidecar, grid_means
+from airgs_codec.coding.sidecar import KeyframeSidecar, grid_means
 from airgs_codec.errors import FormatError
-from airgs_codec.package.layout import COLOUR, KEY, STATE, Layout
-from airgs_codec.package.tables import TRANSFORM_UNITS, Grid, KeySteps, StateSteps
+from airgs_codec.package.layout import COLOUR, KEYFRAME, DELTA, Layout
+from airgs_codec.package.tables import TRANSFORM_UNITS, Grid, KeyframeSteps, DeltaSteps
 from airgs_codec.scene.gaussians import Gaussians, conjugate, multiply, sigmoid, to_rotation_vector
 
-_MEANS, _SCALES, _ROTATION = (STATE.slice(name) for name in ("means", "log_scales", "quaternions"))
-_OPACITY, _COLOUR = STATE.slice("opacity"), STATE.slice(COLOUR)
+_MEANS, _SCALES, _ROTATION = (DELTA.slice(name) for name in ("means", "log_scales", "quaternions"))
+_OPACITY, _COLOUR = DELTA.slice("opacity"), DELTA.slice(COLOUR)
 FURTHEST = float(1 << 26)  # steps that a row moves from its canonical mean, so that codes stay below 2^30
 OUTLYING = 10.0
 WIDTH = 64  # numbers that a row of a decoded frame takes while it is worked out
@@ -39,7 +39,7 @@ Channels = NDArray[np.float32] | Callable[[slice], NDArray[np.float32]]  # (c, N
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Canonical:
-    """The canonical space of a group as decoded from its key tiers; rows in file order."""
+    """The canonical space of a group as decoded from its keyframe tiers; rows in file order."""
 
     means: NDArray[np.float64]  # (N, 3) world units, in the middle of cells
     motion_units: NDArray[np.float32]  # (N,) world units
@@ -54,7 +54,7 @@ class Canonical:
         return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name != "transform"})
 
     def to_gaussians(self) -> Gaussians:
-        """The canonical space as a frame: what is shown where no state says otherwise."""
+        """The canonical space as a frame: what is shown where no delta says otherwise."""
         dc, rest = split_colours(self.colour)
         logits, dc = from_opacity(self.opacity), np.ascontiguousarray(dc)
         return Gaussians(self.means.astype(np.float32), self.quaternions, self.log_scales, logits, dc, rest)
@@ -91,7 +91,7 @@ ATTRIBUTES: dict[str, tuple[Make, Put]] = {
 def blank_space(
     means: NDArray[np.float64], units: NDArray[np.float32], log_scale: float, transform: NDArray[np.float64]
 ) -> Canonical:
-    """Rows at `means` (N, 3) of one size, without rotation, opacity or colour: what key channels are differences to."""
+    """Rows at `means` (N, 3) of one size, without rotation, opacity or colour: what keyframe channels are differences to."""
     row = [np.array([1, 0, 0, 0]), np.full(3, log_scale), np.zeros(()), np.zeros(len(transform))]
     quaternions, sizes, opacity, colour = (
         np.broadcast_to(value.astype(np.float32), (len(means), *value.shape)) for value in row
@@ -106,13 +106,15 @@ def join_canonical(parts: Sequence[Canonical], transform: NDArray[np.float64]) -
     return Canonical(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in names}, transform=transform)
 
 
-def key_channels(g: Gaussians, transform: NDArray[np.float64], steps: KeySteps, unit: float) -> NDArray[np.float64]:
+def keyframe_channels(
+    g: Gaussians, transform: NDArray[np.float64], steps: KeyframeSteps, unit: float
+) -> NDArray[np.float64]:
     """(7 + C, N) channels of the canonical frame; `transform` is the (C, C) KLT as stored, `unit` that of the grid."""
     base = blank_space(g.means.astype(np.float64), np.ones(len(g), np.float32), 0.0, transform)
-    return _make(KEY, replace(g, log_scales=g.log_scales - math.log(unit)), base, steps)
+    return _make(KEYFRAME, replace(g, log_scales=g.log_scales - math.log(unit)), base, steps)
 
 
-def _make(kind: Layout, g: Gaussians, base: Canonical, steps: KeySteps | StateSteps) -> NDArray[np.float64]:
+def _make(kind: Layout, g: Gaussians, base: Canonical, steps: KeyframeSteps | DeltaSteps) -> NDArray[np.float64]:
     width = len(base.transform)
     scale, out = colour_steps(steps, width), np.empty((kind.width(width), len(base.means)))
     for name in kind.attributes:
@@ -121,21 +123,21 @@ def _make(kind: Layout, g: Gaussians, base: Canonical, steps: KeySteps | StateSt
     return out
 
 
-def dequantise_key(
+def dequantise_keyframe(
     channels: Channels,
-    sidecar: KeySidecar,
+    sidecar: KeyframeSidecar,
     transform: NDArray[np.float64],
     grid: Grid,
-    steps: KeySteps,
+    steps: KeyframeSteps,
     coarser: int = 0,
     base: Canonical | None = None,
 ) -> Canonical:
-    """Decoded key channels and the sidecar of their rows -> the canonical space of the group, on several threads.
+    """Decoded keyframe channels and the sidecar of their rows -> the canonical space of the group, on several threads.
 
     Of (7 + C, N) channels; or of (10 + C, N), which are differences to `base`, the canonical space of another group.
-    `coarser` is that of the key quality; the codes of the sidecar may be those of finer cells.
+    `coarser` is that of the keyframe quality; the codes of the sidecar may be those of finer cells.
     """
-    kind = KEY if base is None else STATE
+    kind = KEYFRAME if base is None else DELTA
     if base is None:
         means = grid_means(sidecar.codes, sidecar.classes, sidecar.wider, grid, coarser)
         base = blank_space(means, motion_units(sidecar.classes), math.log(grid.unit), transform)
@@ -153,14 +155,14 @@ def dequantise_key(
     return replace(base, depths=sidecar.depths, **out)
 
 
-def state_channels(frames: Sequence[Gaussians], base: Canonical, steps: StateSteps) -> NDArray[np.float64]:
+def delta_channels(frames: Sequence[Gaussians], base: Canonical, steps: DeltaSteps) -> NDArray[np.float64]:
     """(T, 10 + C, N) channels of frames with the rows of `base`.
 
     While a Gaussian has alpha < 1/255 it is not drawn, so its channels but opacity hold the value they had when it was
     last drawn: changes that nobody sees cost nothing. Before it is first drawn they hold that first value, and 0 if it
     is never drawn.
     """
-    out = np.empty((len(frames), STATE.width(len(base.transform)), len(base.means)))
+    out = np.empty((len(frames), DELTA.width(len(base.transform)), len(base.means)))
     drawn = np.empty((len(frames), len(base.means)), bool)
     for t, g in enumerate(frames):
         out[t], drawn[t] = frame_channels(g, base, steps)
@@ -169,12 +171,12 @@ def state_channels(frames: Sequence[Gaussians], base: Canonical, steps: StateSte
     return out
 
 
-def frame_channels(g: Gaussians, base: Canonical, steps: StateSteps) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def frame_channels(g: Gaussians, base: Canonical, steps: DeltaSteps) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """(10 + C, N) channels of one frame as it is, and (N,) whether a row is drawn.
 
     A row that moves further than codes reach is nearer, on the same line, and as much smaller: it looks alike.
     """
-    out = _make(STATE, g, base, steps)
+    out = _make(DELTA, g, base, steps)
     nearer = np.maximum(np.abs(out[_MEANS]).max(axis=0) / (FURTHEST * steps.means), 1)
     out[_MEANS] /= nearer
     out[_SCALES] -= np.log(nearer)
@@ -193,8 +195,8 @@ def hold_undrawn(channels: NDArray[np.float64], drawn: NDArray[np.bool_]) -> Non
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StateApplier:
-    """Adds decoded states to the n rows of one level; what all frames of a segment share is gathered once."""
+class DeltaApplier:
+    """Adds decoded deltas to the n rows of one level; what all frames of a segment share is gathered once."""
 
     base: Canonical
     shown: Gaussians  # the canonical space as a frame
@@ -204,13 +206,13 @@ class StateApplier:
     memory: kernels.FrameMemory = field(default_factory=kernels.FrameMemory)
 
     @staticmethod
-    def of(base: Canonical, rows: NDArray[np.intp], steps: StateSteps, constant: Sequence[str] = ()) -> StateApplier:
+    def of(base: Canonical, rows: NDArray[np.intp], steps: DeltaSteps, constant: Sequence[str] = ()) -> DeltaApplier:
         """An applier for these rows (n,); all channels of quaternions or colour that are `constant` are 0."""
         scale = colour_steps(steps, len(base.transform)).astype(np.float32)
-        return StateApplier(base, base.to_gaussians(), rows, scale, constant)
+        return DeltaApplier(base, base.to_gaussians(), rows, scale, constant)
 
     def apply(self, channels: Channels) -> Gaussians:
-        """The frame that decoded state channels of the n rows make of the canonical space: all N rows.
+        """The frame that decoded delta channels of the n rows make of the canonical space: all N rows.
 
         What gives (10 + C, m) channels of some of them is called on several threads.
         """
@@ -243,7 +245,7 @@ class StateApplier:
             part = base.part(some)
             for name, column in out.items():
                 _, put = ATTRIBUTES[name]
-                column[some] = put(x[STATE.slice(name)], part, self.colour_steps)
+                column[some] = put(x[DELTA.slice(name)], part, self.colour_steps)
             out["opacity"][some] = from_opacity(out["opacity"][some])
             return
         out["opacity"][some] = from_opacity(base.opacity[some] + x[_OPACITY][0])
@@ -252,7 +254,7 @@ class StateApplier:
         columns = {name: getattr(base, name) for name in ("means", "log_scales", "quaternions", COLOUR)}
         written = (out.get(name, column) for name, column in columns.items())
         dyes = kernels.klt_colours(dyes, transform, self.colour_steps) if len(dyes) else dyes
-        kernels.add_states((*changes, dyes), tuple(columns.values()), rows, tuple(written))
+        kernels.add_deltas((*changes, dyes), tuple(columns.values()), rows, tuple(written))
 
 
 def _some(channels: Channels, rows: slice) -> NDArray[np.float32]:
@@ -276,7 +278,7 @@ def split_colours(channels: NDArray[np.floating]) -> tuple[NDArray[np.floating],
     return channels[..., :3], rest.reshape(*rest.shape[:-1], rest.shape[-1] // 3, 3)
 
 
-def colour_steps(steps: KeySteps | StateSteps, channels: int) -> NDArray[np.float64]:
+def colour_steps(steps: KeyframeSteps | DeltaSteps, channels: int) -> NDArray[np.float64]:
     """(C,) step of each colour channel before the KLT; after it every step is 1."""
     return np.where(np.arange(channels) < 3, steps.sh_dc, steps.sh_rest)
 
@@ -310,9 +312,9 @@ def to_klt(scaled: NDArray[np.float64], transform: NDArray[np.float64]) -> NDArr
     return scaled @ np.linalg.inv(transform)
 
 
-def colour_transform(key: Gaussians, steps: KeySteps, weights: Sequence[float] = ()) -> NDArray[np.float64]:
+def colour_transform(keyframe: Gaussians, steps: KeyframeSteps, weights: Sequence[float] = ()) -> NDArray[np.float64]:
     """The (C, C) KLT of the colours of a canonical frame, rounded as the table of a group stores it."""
-    colour = colours(key.sh_dc, key.sh_rest).astype(np.float64)
+    colour = colours(keyframe.sh_dc, keyframe.sh_rest).astype(np.float64)
     fitted = fit_colour_transform(colour / colour_steps(steps, colour.shape[1]), weights)
     return unpack_matrix(pack_matrix(fitted), len(fitted))
 

@@ -18,7 +18,7 @@ from airgs_codec.errors import FormatError
 UNIT = 128  # codes that a base of 1 stands for
 Bases = Sequence[NDArray[np.int32] | None]  # those in force, (N,) of each plane; None for a plane before its first jump
 # |luma - 128| never exceeds it as encoded. Decoded luma must stay within 16 and 235, which leaves 11 levels for the
-# error of the video codec: at the QP of states 10 is the largest met in noise of every kind, 6 in real scenes.
+# error of the video codec: at the QP of deltas 10 is the largest met in noise of every kind, 6 in real scenes.
 LIMIT = 96
 
 

@@ -91,22 +91,22 @@ def consecutive(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
 
 
 def is_compiled() -> bool:
-    """Whether `add_states` runs as machine code, as it does where numba is loaded."""
-    return worth_compiling(_add_states, 0) is not None
+    """Whether `add_deltas` runs as machine code, as it does where numba is loaded."""
+    return worth_compiling(_add_deltas, 0) is not None
 
 
-def add_states(changes: Columns, base: Columns, rows: NDArray[np.intp], out: Columns) -> None:
+def add_deltas(changes: Columns, base: Columns, rows: NDArray[np.intp], out: Columns) -> None:
     """Write to some rows (n,), n > 0, of `out` those of `base` with (c, n) changes; of rotations those are vectors.
 
     Where changes of rotations or colours have no channels, these columns are not touched.
     """
     vectors = changes[2]
     turns = _half_turns(vectors) if len(vectors) else (vectors.ravel(), vectors.ravel())
-    loop: Loop = worth_compiling(_add_states, 0) or _add_states
+    loop: Loop = worth_compiling(_add_deltas, 0) or _add_deltas
     loop(changes, turns, base, rows, out)
 
 
-def _add_states(
+def _add_deltas(
     changes: Columns, turns: tuple[Floats, Floats], base: Columns, rows: NDArray[np.intp], out: Columns
 ) -> None:
     (moves, sizes, vectors, dyes), (cosine, factor) = changes, turns

@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.package.layout import COLOUR, STATE
-from airgs_codec.package.tables import BLOCK, LEAST_CLASS, MOST_CLASS, STATE_ATTRIBUTES, KeySteps, StateSteps
+from airgs_codec.package.layout import COLOUR, DELTA
+from airgs_codec.package.tables import BLOCK, LEAST_CLASS, MOST_CLASS, DELTA_ATTRIBUTES, KeyframeSteps, DeltaSteps
 from airgs_codec.scene.gaussians import Gaussians
 
 LEAVES = 1e4  # steps
 FLOOR = 0.01  # of the median: rows that the given views hardly see may be seen from others
-_KEY = KeySteps(quaternions=0.025, log_scales=0.08, opacity=0.014, sh_dc=0.036, sh_rest=0.04)
-_STATE = StateSteps(0.0007, quaternions=0.03, log_scales=0.12, opacity=0.058, sh_dc=0.063, sh_rest=0.08)
+_KEYFRAME = KeyframeSteps(quaternions=0.025, log_scales=0.08, opacity=0.014, sh_dc=0.036, sh_rest=0.04)
+_DELTA = DeltaSteps(0.0007, quaternions=0.03, log_scales=0.12, opacity=0.058, sh_dc=0.063, sh_rest=0.08)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,25 +34,25 @@ class StepSettings:
     Calibration starts from the defaults, which lie between what the walking fox and the N3DV spinach scene ask for.
     """
 
-    key: KeySteps = _KEY
-    state: StateSteps = _STATE
+    keyframe: KeyframeSteps = _KEYFRAME
+    delta: DeltaSteps = _DELTA
     grid: float = 0.0007  # side of the cells of canonical means, in motion units
     colours: tuple[float, ...] = ()  # (3, 3), row by row, of `fit_colour_transform`; empty: r, g, b matter alike
     rows: float = 0.0027  # error of pictures (RMS, of [0, 1]) that leaving out Gaussians may make
 
     def at_scale(self, scale: float) -> StepSettings:
         """These steps, which are those of a scene of scale 1, for one of another scale."""
-        return replace(self, state=replace(self.state, means=self.state.means * scale), grid=self.grid * scale)
+        return replace(self, delta=replace(self.delta, means=self.delta.means * scale), grid=self.grid * scale)
 
     def scaled(self, quality: float) -> StepSettings:
         """These steps times a quality factor; `rows`, an error of pictures, stays."""
-        key = KeySteps(*(step * quality for step in astuple(self.key)))
-        state = StateSteps(*(step * quality for step in astuple(self.state)))
-        return replace(self, key=key, state=state, grid=self.grid * quality)
+        keyframe = KeyframeSteps(*(step * quality for step in astuple(self.keyframe)))
+        delta = DeltaSteps(*(step * quality for step in astuple(self.delta)))
+        return replace(self, keyframe=keyframe, delta=delta, grid=self.grid * quality)
 
 
 def get_step(steps: StepSettings, name: str) -> float:
-    """A step by its name: such as state.means, grid or rows."""
+    """A step by its name: such as delta.means, grid or rows."""
     side, _, attribute = name.partition(".")
     return float(getattr(getattr(steps, side), attribute) if attribute else getattr(steps, side))
 
@@ -143,24 +143,24 @@ def _hadamard(order: int) -> NDArray[np.float64]:
 
 
 def channel_weights(
-    classes: NDArray[np.int16], sensitivity: NDArray[np.float64], steps: StateSteps, transform: NDArray[np.float64]
+    classes: NDArray[np.int16], sensitivity: NDArray[np.float64], steps: DeltaSteps, transform: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(10 + C, N) what an error of one step in a state channel adds to the mean squared error of pictures.
+    """(10 + C, N) what an error of one step in a delta channel adds to the mean squared error of pictures.
 
-    `sensitivity` (6, N): mean squared derivatives of pictures by each of STATE_ATTRIBUTES, summed over its channels.
+    `sensitivity` (6, N): mean squared derivatives of pictures by each of DELTA_ATTRIBUTES, summed over its channels.
     Derivatives by the channels of one attribute are taken to be equal, and errors of different channels independent.
     Colour channel k changes SH DC and SH rest by the entries of row k of the KLT `transform` (C, C).
     """
     colours = len(transform)
     dc, rest = (np.square(part).sum(axis=1) for part in (transform[:, :3], transform[:, 3:]))
-    by = dict(zip(STATE_ATTRIBUTES, sensitivity, strict=True))
+    by = dict(zip(DELTA_ATTRIBUTES, sensitivity, strict=True))
     units = asdict(steps) | {"means": motion_units(classes).astype(np.float64) * steps.means}
-    weights = np.empty((STATE.width(colours), len(classes)))
-    for run in STATE.runs:
-        weights[STATE.slice(run.attribute)] = by[run.attribute] * units[run.attribute] ** 2 / len(run.axes)
-    weights[STATE.slice(COLOUR)] = np.outer(dc, by["sh_dc"] * steps.sh_dc**2 / 3)
+    weights = np.empty((DELTA.width(colours), len(classes)))
+    for run in DELTA.runs:
+        weights[DELTA.slice(run.attribute)] = by[run.attribute] * units[run.attribute] ** 2 / len(run.axes)
+    weights[DELTA.slice(COLOUR)] = np.outer(dc, by["sh_dc"] * steps.sh_dc**2 / 3)
     if colours > 3:
-        weights[STATE.slice(COLOUR)] += np.outer(rest, by["sh_rest"] * steps.sh_rest**2 / (colours - 3))
+        weights[DELTA.slice(COLOUR)] += np.outer(rest, by["sh_rest"] * steps.sh_rest**2 / (colours - 3))
     return weights
 
 

@@ -1,11 +1,12 @@
-"""What must be exact in a key tier: canonical means, motion classes and depths (FORMAT.md §3). N rows in Morton order.
+"""What must be exact in a keyframe tier: canonical means, motion classes and depths (FORMAT.md §3). N rows in Morton
+order.
 
 Means lie in the middle of nested cubic cells, finer where pictures depend on them more. The grid spans a box about
 nearly all rows. A row outside lies in a wider grid about the same middle, whose steps are 2^e times as wide, so that it
 decides nothing for the others. What cells know of a row is its motion class less e: `cells`.
 
-All key qualities share a sidecar, whose canonical means are as coarse as those of the coarsest. The file of a quality
-begins with the detail that its own finer cells add.
+All keyframe qualities share a sidecar, whose canonical means are as coarse as those of the coarsest. The file of a
+quality begins with the detail that its own finer cells add.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ EXACT = 50  # bits of a coordinate in steps that float64 holds, and halves of it
 def cell_bits(cells: NDArray[np.int16], grid: Grid, coarser: int = 0) -> NDArray[np.int64]:
     """(N,) b of rows: a cell is 2^b steps of its own grid wide.
 
-    `coarser` is that of a key quality, which multiplies the side of cells by 2^coarser.
+    `coarser` is that of a keyframe quality, which multiplies the side of cells by 2^coarser.
     """
     return np.minimum(np.clip(cells.astype(np.int64) - grid.finest, 0, GRID_BITS) + coarser, GRID_BITS)
 
@@ -57,7 +58,7 @@ def _middle(grid: Grid) -> NDArray[np.float64]:
 
 
 def coarse_codes(codes: NDArray[np.uint64], cells: NDArray[np.int16], grid: Grid, coarser: int) -> NDArray[np.uint64]:
-    """(N,) Morton codes of the cells of a key quality that hold cells as fine or finer, given by (N,) codes."""
+    """(N,) Morton codes of the cells of a keyframe quality that hold cells as fine or finer, given by (N,) codes."""
     low = (3 * cell_bits(cells, grid, coarser)).astype(np.uint64)
     return codes >> low << low
 
@@ -65,7 +66,7 @@ def coarse_codes(codes: NDArray[np.uint64], cells: NDArray[np.int16], grid: Grid
 def grid_means(
     codes: NDArray[np.uint64], classes: NDArray[np.int16], wider: NDArray[np.int16], grid: Grid, coarser: int = 0
 ) -> NDArray[np.float64]:
-    """(N,) Morton codes of cells as fine or finer -> (N, 3) middles of the cells of a key quality in world units."""
+    """(N,) Morton codes of cells as fine or finer -> (N, 3) middles of the cells of a keyframe quality in world units."""
     cells = classes - wider
     half = np.exp2(cell_bits(cells, grid, coarser))[:, None] / 2
     codes = coarse_codes(codes, cells, grid, coarser)
@@ -93,10 +94,11 @@ def fit_grid(means: NDArray[np.float32], classes: NDArray[np.int16], cell: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KeySidecar:
+class KeyframeSidecar:
     """Canonical means, motion classes and depths of the rows of a tier, or of several one after another.
 
-    Where keys are differences to those of an earlier group, which has the means and classes, there are depths alone.
+    Where keyframes are differences to those of an earlier group, which has the means and classes, there are depths
+    alone.
     """
 
     codes: NDArray[np.uint64]  # (N,) Morton codes of the canonical means
@@ -109,8 +111,8 @@ class KeySidecar:
         return self.classes - self.wider
 
 
-def pack_key_sidecar(sidecar: KeySidecar, grid: Grid, coarsest: int = 0) -> bytes:
-    """The bytes of key/T{k}/{n}.bin, a column file; `coarsest` is `coarser` of the coarsest key quality."""
+def pack_keyframe_sidecar(sidecar: KeyframeSidecar, grid: Grid, coarsest: int = 0) -> bytes:
+    """The bytes of keyframe/T{k}/{n}.bin, a column file; `coarsest` is `coarser` of the coarsest keyframe quality."""
     carried = sidecar.depths + np.uint8(1), 1  # static rows, 255, become 0
     if not len(sidecar.codes):
         return encode_columns([carried])
@@ -123,10 +125,11 @@ def pack_key_sidecar(sidecar: KeySidecar, grid: Grid, coarsest: int = 0) -> byte
     return encode_columns([*placed, carried, *Escapes.of(sidecar.wider.astype(np.int32)[None, None]).columns()])
 
 
-def unpack_key_sidecar(
+def unpack_keyframe_sidecar(
     data: bytes, rows: int, grid: Grid, coarsest: int, where: str, depths_alone: bool = False
-) -> KeySidecar:
-    """Inverse of `pack_key_sidecar` for so many rows, with their codes in the coarsest cells; `where` names the file.
+) -> KeyframeSidecar:
+    """Inverse of `pack_keyframe_sidecar` for so many rows, with their codes in the coarsest cells; `where` names the
+    file.
 
     Raises FormatError(bad_sidecar).
     """
@@ -144,15 +147,15 @@ def unpack_key_sidecar(
     if not ((wider >= 0) & (wider <= MOST_WIDER)).all():
         raise FormatError("bad_sidecar", where, f"expected rows in a grid 2^0 to 2^{MOST_WIDER} times as wide")
     depths = (carried - 1).astype(np.uint8)
-    shared = KeySidecar(gaps.astype(np.uint64), classes.astype(np.int16), wider.astype(np.int16), depths)
+    shared = KeyframeSidecar(gaps.astype(np.uint64), classes.astype(np.int16), wider.astype(np.int16), depths)
     codes = sum_gaps(gaps, 3 * cell_bits(shared.cells, grid, coarsest), 3 * GRID_BITS)
     if codes is None:
         raise FormatError("bad_sidecar", where, f"Morton codes leave {3 * GRID_BITS} bits")
     return replace(shared, codes=codes)
 
 
-def detail_columns(sidecar: KeySidecar, grid: Grid, coarser: int, coarsest: int) -> list[Column]:
-    """Return what a key quality adds to the codes that `pack_key_sidecar` writes; the coarsest adds nothing."""
+def detail_columns(sidecar: KeyframeSidecar, grid: Grid, coarser: int, coarsest: int) -> list[Column]:
+    """Return what a keyframe quality adds to the codes that `pack_keyframe_sidecar` writes; the coarsest adds nothing."""
     if coarser == coarsest:
         return []
     low = (3 * cell_bits(sidecar.cells, grid, coarser)).astype(np.uint64)
@@ -160,8 +163,10 @@ def detail_columns(sidecar: KeySidecar, grid: Grid, coarser: int, coarsest: int)
     return [(np.array([coarser]), 0), (((sidecar.codes - known) >> low).astype(np.int64), 0)]
 
 
-def read_detail(reader: ColumnReader, sidecar: KeySidecar, grid: Grid, coarser: int, coarsest: int) -> KeySidecar:
-    """A sidecar of `unpack_key_sidecar` with the codes of a key quality: the inverse of `detail_columns`.
+def read_detail(
+    reader: ColumnReader, sidecar: KeyframeSidecar, grid: Grid, coarser: int, coarsest: int
+) -> KeyframeSidecar:
+    """A sidecar of `unpack_keyframe_sidecar` with the codes of a keyframe quality: the inverse of `detail_columns`.
 
     Raises FormatError(bad_sidecar).
     """

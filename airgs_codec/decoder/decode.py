@@ -1,6 +1,6 @@
 """Package -> Gaussians, from the whole to its parts: frames, canonical spaces and segments, codes of pictures.
 
-T frames, N rows of a group, n rows of a key tier or of a level, P planes of an atlas, C colour channels.
+T frames, N rows of a group, n rows of a keyframe tier or of a level, P planes of an atlas, C colour channels.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from airgs_codec._arguments import argument, frame_argument
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import add_slopes, code_units, line_times, read_codes, read_values
-from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_key, join_canonical, unpack_matrix
+from airgs_codec.coding.channels import Canonical, DeltaApplier, dequantise_keyframe, join_canonical, unpack_matrix
 from airgs_codec.coding.escapes import Escapes
 from airgs_codec.coding.kernels import FrameMemory
 from airgs_codec.coding.rangecoder import ColumnReader
-from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
+from airgs_codec.coding.sidecar import KeyframeSidecar, read_detail, unpack_keyframe_sidecar
 from airgs_codec.errors import ConfigError, FormatError, FrameError
 from airgs_codec.media.h264 import open_segment
-from airgs_codec.package.layout import COLOUR, STATE, key_layout
+from airgs_codec.package.layout import COLOUR, DELTA, keyframe_layout
 from airgs_codec.package.package import OPENED, Package, open_package
 from airgs_codec.package.tables import STATIC, Atlas
 from airgs_codec.scene.gaussians import Gaussians
@@ -43,19 +43,20 @@ DECODED_ROWS = 1 << 18  # rows of canonical spaces that stay decoded, and one mo
 
 
 def decode(
-    package: Package | str | Path, frame: int, *, level: str | int = "L0", key_quality: str | int = "Q0"
+    package: Package | str | Path, frame: int, *, level: str | int = "L0", keyframe_quality: str | int = "Q0"
 ) -> Gaussians:
-    """One frame, from 0, of an open package or the one at a path, at a level and key quality given by id or index.
+    """One frame, from 0, of an open package or the one at a path, at a level and keyframe quality given by id or index.
 
-    Decodes nothing but the key tiers of the frame's group, those of the group that they are differences to, and its
-    segment up to the frame. While the package is open, key tiers of some groups stay decoded, and the escapes of one
-    segment. The result has as many rows as the key tiers that viewers of the level fetch. Raises FrameError for a
-    frame, ConfigError for a level or key quality that the package does not have, FormatError for a broken package.
+    Decodes nothing but the keyframe tiers of the frame's group, those of the group that they are differences to, and
+    its segment up to the frame. While the package is open, keyframe tiers of some groups stay decoded, and the escapes
+    of one segment. The result has as many rows as the keyframe tiers that viewers of the level fetch. Raises FrameError
+    for a frame, ConfigError for a level or keyframe quality that the package does not have, FormatError for a broken
+    package.
     """
     package = argument("package", package, Package, OPENED, open_package)
     m = package.manifest
     frame = frame_argument(frame, m.frames)
-    j, q, index = m.level_index(level), m.quality_index(key_quality), m.segment_at(frame)
+    j, q, index = m.level_index(level), m.quality_index(keyframe_quality), m.segment_at(frame)
     base = _canonical_again(package, m.group_of(index), q, m.levels[j].tiers)
     shown = next(decode_segment(package, index, base, j, [frame - m.segments[index].start]))
     columns = (getattr(shown, field.name) for field in fields(shown))
@@ -63,7 +64,7 @@ def decode(
     return Gaussians(*(c.copy() if any(np.may_share_memory(c, of) for of in coded) else c for c in columns))
 
 
-# Of an open package: canonical spaces by group, key quality and tiers.
+# Of an open package: canonical spaces by group, keyframe quality and tiers.
 _decoded: WeakKeyDictionary[Package, dict[tuple[int, int, int], Canonical]] = WeakKeyDictionary()
 
 
@@ -85,18 +86,18 @@ def decode_frames(
     stop: int,
     *,
     level: str | int = "L0",
-    key_quality: str | int = "Q0",
+    keyframe_quality: str | int = "Q0",
     tiers: int | None = None,
 ) -> Iterator[Frame]:
     """Frames [start, stop) one after another, each with its number; the other arguments are those of `decode`.
 
-    `tiers`: key tiers, from the first on, that the viewer has; by default those that viewers of the level fetch. Each
-    key tier and each segment is decoded once. Frames share arrays, which cannot be written to. Raises what `decode`
-    raises.
+    `tiers`: keyframe tiers, from the first on, that the viewer has; by default those that viewers of the level fetch.
+    Each keyframe tier and each segment is decoded once. Frames share arrays, which cannot be written to. Raises what
+    `decode` raises.
     """
     package = argument("package", package, Package, OPENED, open_package)
     m = package.manifest
-    j, q = m.level_index(level), m.quality_index(key_quality)
+    j, q = m.level_index(level), m.quality_index(keyframe_quality)
     if not (isinstance(start, Integral) and isinstance(stop, Integral) and 0 <= start <= stop <= m.frames):
         raise FrameError(f"frames: expected a range inside 0:{m.frames}, got {start!r}:{stop!r}")
     base: Canonical | None = None
@@ -123,8 +124,8 @@ def _sealed(g: Gaussians) -> Gaussians:
 def decode_canonical(package: Package, group: int, quality: int, tiers: int | None = None) -> Canonical:
     """The canonical space of a group, in file order.
 
-    It is that of the first `tiers` key tiers (default: all), which may have no rows. Raises ConfigError for tiers that
-    the package does not have, FormatError for a broken package.
+    It is that of the first `tiers` keyframe tiers (default: all), which may have no rows. Raises ConfigError for tiers
+    that the package does not have, FormatError for a broken package.
     """
     m, g = package.manifest, package.manifest.groups[group]
     if tiers is not None and not 1 <= tiers <= m.tiers:
@@ -137,22 +138,24 @@ def decode_canonical(package: Package, group: int, quality: int, tiers: int | No
 
 
 def _decode_tier(package: Package, group: int, tier: int, quality: int, transform: NDArray[np.float64]) -> Canonical:
-    """The rows of a key tier, which has some; `transform` is the KLT of the group, and so of its base."""
+    """The rows of a keyframe tier, which has some; `transform` is the KLT of the group, and so of its base."""
     m, g = package.manifest, package.manifest.groups[group]
     base, width = m.base_of(group), len(g.tiers[tier].qualities[quality].centres)
-    shown, sidecar = _read_key(package, group, tier, quality)
+    shown, sidecar = _read_keyframe(package, group, tier, quality)
 
     def values(rows: slice) -> NDArray[np.float32]:
         return shown.values(rows) if shown else np.zeros((width, rows.stop - rows.start), np.float32)
 
     before = None if base is None else _decode_tier(package, base, tier, quality, transform)
-    return dequantise_key(values, sidecar, transform, g.grid, g.key_steps, m.qualities[quality].coarser, before)
+    return dequantise_keyframe(
+        values, sidecar, transform, g.grid, g.keyframe_steps, m.qualities[quality].coarser, before
+    )
 
 
-def key_units(package: Package, group: int, tier: int, quality: int) -> NDArray[np.float32]:
+def keyframe_units(package: Package, group: int, tier: int, quality: int) -> NDArray[np.float32]:
     m, g = package.manifest, package.manifest.groups[group]
     factor = m.qualities[quality].factor * g.tiers[tier].factor
-    return code_units(key_layout(g).steps(g.difference_steps, m.colour_channels) * factor, m.key_gain)
+    return code_units(keyframe_layout(g).steps(g.difference_steps, m.colour_channels) * factor, m.keyframe_gain)
 
 
 _Luma = tuple[NDArray[np.uint8], escapes.Bases]  # (pages * H, W) samples, and the bases in force until the next
@@ -160,7 +163,7 @@ _Luma = tuple[NDArray[np.uint8], escapes.Bases]  # (pages * H, W) samples, and t
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """What the channels of a key tier or of a frame are made of; bases are in force until the next."""
+    """What the channels of a keyframe tier or of a frame are made of; bases are in force until the next."""
 
     atlas: Atlas
     luma: _Luma
@@ -179,26 +182,26 @@ class Shown:
         return values
 
 
-def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[NDArray[np.int32], KeySidecar]:
-    """(c, n) codes of a key tier, n = 0 without a picture, and its sidecar in that quality. Raises FormatError."""
-    shown, sidecar = _read_key(package, group, tier, quality)
+def decode_keyframe(package: Package, group: int, tier: int, quality: int) -> tuple[NDArray[np.int32], KeyframeSidecar]:
+    """(c, n) codes of a keyframe tier, n = 0 without a picture, and its sidecar in that quality. Raises FormatError."""
+    shown, sidecar = _read_keyframe(package, group, tier, quality)
     atlas = package.manifest.groups[group].tiers[tier].qualities[quality]
     return shown.codes() if shown else np.empty((len(atlas.centres), 0), np.int32), sidecar
 
 
-def _read_key(package: Package, group: int, tier: int, quality: int) -> tuple[Shown | None, KeySidecar]:
-    """The picture of a key tier, None where it has none, and its sidecar, as in `decode_key`.
+def _read_keyframe(package: Package, group: int, tier: int, quality: int) -> tuple[Shown | None, KeyframeSidecar]:
+    """The picture of a keyframe tier, None where it has none, and its sidecar, as in `decode_keyframe`.
 
     The picture is decoded on another thread while columns are read.
     """
     m, g = package.manifest, package.manifest.groups[group]
     entry, differs, coarsest = g.tiers[tier], g.keeps is not None, m.qualities[-1].coarser
-    (where, *paths), atlas = m.key_files(group, tier, quality), entry.qualities[quality]
+    (where, *paths), atlas = m.keyframe_files(group, tier, quality), entry.qualities[quality]
     data, *media = [package.read(path) for path in (where, *paths)]
     columns, pictures = open_segment(media[0], paths[0], atlas.pages) if media else (None, ())
     with ThreadPoolExecutor(1) as pool:
         coming = pool.submit(next, iter(pictures), None)
-        sidecar = unpack_key_sidecar(data, entry.count, g.grid, coarsest, where, differs)
+        sidecar = unpack_keyframe_sidecar(data, entry.count, g.grid, coarsest, where, differs)
         if not media:
             return None, sidecar
         reader = ColumnReader(columns, paths[0])
@@ -207,7 +210,7 @@ def _read_key(package: Package, group: int, tier: int, quality: int) -> tuple[Sh
         jumps = escapes.read_columns(reader, (1, len(atlas.planes), atlas.rows))
         reader.close()
     picture = _expect_picture(coming.result(), atlas, paths[0])
-    return Shown(atlas, (picture, next(jumps.running())), key_units(package, group, tier, quality)), sidecar
+    return Shown(atlas, (picture, next(jumps.running())), keyframe_units(package, group, tier, quality)), sidecar
 
 
 def _expect_picture(picture: NDArray[np.uint8] | None, atlas: Atlas, where: str) -> NDArray[np.uint8]:
@@ -225,32 +228,32 @@ def decode_segment(
 ) -> Iterator[Gaussians]:
     """Frames of a segment over a decoded canonical space; `places` ascend and count from the start of the segment.
 
-    `base` is that of the first key tiers, as many as viewers of the level fetch or others: its rows tell. H.264 is
+    `base` is that of the first keyframe tiers, as many as viewers of the level fetch or others: its rows tell. H.264 is
     decoded up to the last frame. Raises FormatError.
     """
-    if places and len(base.means) and package.manifest.state_files(index, level):
-        yield from _decode_states(package, index, base, level, places)
+    if places and len(base.means) and package.manifest.delta_files(index, level):
+        yield from _decode_deltas(package, index, base, level, places)
     else:
         yield from itertools.repeat(base.to_gaussians(), len(places))
 
 
-def _decode_states(
+def _decode_deltas(
     package: Package, index: int, base: Canonical, level: int, places: Sequence[int]
 ) -> Iterator[Gaussians]:
-    m, (media,) = package.manifest, package.manifest.state_files(index, level)
+    m, (media,) = package.manifest, package.manifest.delta_files(index, level)
     group = m.groups[m.group_of(index)]
     atlas, rows = group.levels[level], np.flatnonzero((base.depths >= level) & (base.depths != STATIC))
     complete = len(base.means) >= sum(tier.count for tier in group.tiers[: m.levels[level].tiers])
     if len(rows) > atlas.rows or (complete and len(rows) != atlas.rows):
         raise FormatError("count_mismatch", media, f"the sidecars give {len(rows)} rows, the table {atlas.rows}")
-    names = STATE.names(m.colour_channels)
+    names = DELTA.names(m.colour_channels)
     varying = {names[i] for i, centre in enumerate(atlas.centres) if centre or i in atlas.planes}
     constant = [name for name in ("quaternions", COLOUR) if name not in varying]
-    applier = StateApplier.of(base, rows, group.state_steps, constant)
+    applier = DeltaApplier.of(base, rows, group.delta_steps, constant)
     frames = range(places[0], places[-1] + 1)
-    for place, state in zip(frames, decode_pictures(package, index, level, frames), strict=True):
+    for place, delta in zip(frames, decode_pictures(package, index, level, frames), strict=True):
         if place in places:
-            yield applier.apply(state.values)
+            yield applier.apply(delta.values)
 
 
 AHEAD = 6  # pictures that are decoded before they are needed
@@ -263,10 +266,10 @@ def decode_pictures(package: Package, index: int, level: int, frames: range) -> 
     m, first, last = package.manifest, frames.start, frames.stop
     segment = m.segments[index]
     count, lined = segment.stop - segment.start, bool(segment.levels[level].line)
-    (media,) = m.state_files(index, level)
+    (media,) = m.delta_files(index, level)
     group = m.groups[m.group_of(index)]
-    atlas, steps = group.levels[level], STATE.steps(group.state_steps, m.colour_channels) * m.levels[level].factor
-    units = code_units(steps, m.state_gain)
+    atlas, steps = group.levels[level], DELTA.steps(group.delta_steps, m.colour_channels) * m.levels[level].factor
+    units = code_units(steps, m.delta_gain)
     columns, pictures = open_segment(package.read(media), media, atlas.pages)
     front, pictures = pictures.cut() if lined else (None, pictures)
     coming = decode_ahead(itertools.islice(replace(pictures, memory=FrameMemory().empty), last))

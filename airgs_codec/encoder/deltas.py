@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import GREY, extract, fit_centre, line_times, make_atlas, to_codes
-from airgs_codec.coding.channels import FURTHEST, LEAST_DRAWN, Canonical, hold_undrawn, state_channels
+from airgs_codec.coding.channels import FURTHEST, LEAST_DRAWN, Canonical, hold_undrawn, delta_channels
 from airgs_codec.coding.escapes import Escapes
 from airgs_codec.encoder.layout import GroupLayout, assign_depths, rank_updates
-from airgs_codec.encoder.omit import StateOmissions, StateValues, note_static
+from airgs_codec.encoder.omit import DeltaOmissions, DeltaValues, note_static
 from airgs_codec.encoder.plan import Plan
 from airgs_codec.encoder.sample import LEAST_LINED, fit_slopes
 from airgs_codec.encoder.settings import EncodeSettings
@@ -35,12 +35,12 @@ from airgs_codec.encoder.streams import (
     encode_checked,
     encode_parallel,
 )
-from airgs_codec.media.h264 import STATE_QP, ClosedGop, CodecSettings, CodedGop, qp_step, state_codec
-from airgs_codec.package.layout import STATE
+from airgs_codec.media.h264 import DELTA_QP, ClosedGop, CodecSettings, CodedGop, qp_step, delta_codec
+from airgs_codec.package.layout import DELTA
 from airgs_codec.package.tables import STATIC, Atlas, LeftOut
 from airgs_codec.scene.gaussians import Gaussians
 
-OPACITY = STATE.slice("opacity").start
+OPACITY = DELTA.slice("opacity").start
 LEAST_HIDDEN = 16  # codes of alpha, above which the two escapes of a row that goes and comes are cheaper than samples
 ROUNDINGS = 3  # sizes of slopes that `ErrorModel` counts besides: they are rounded to float32 twice, and make residuals
 
@@ -63,30 +63,30 @@ def code_deltas(
 ) -> CodedDeltas:
     """Quantise the deltas of a group for every pruning level; `frames` are all of the group, with all input rows.
 
-    Those of a level are differences to the one of `bases`, the canonical space as decoded in each key quality, that
-    the level corrects. A segment is fetched if anything in it differs from the original canonical frame by more than
-    half a step. Samples go to files in `scratch`.
+    Those of a level are differences to the one of `bases`, the canonical space as decoded in each keyframe quality,
+    that the level corrects. A segment is fetched if anything in it differs from the original canonical frame by more
+    than half a step. Samples go to files in `scratch`.
     """
     file, settings = scratch / "values", plan.settings
-    values = StateValues.write(file, frames, layout.rows, bases[0], layout.state_steps)
+    values = DeltaValues.write(file, frames, layout.rows, bases[0], layout.delta_steps)
     score, moving, largest = rank_deltas(layout, values, bases[0], settings)
     tiers = [settings.tiers_of(level) for level in settings.levels]
     depths = assign_depths(score, moving, [level.pruned for level in settings.levels], layout.tiers, tiers)
     static = note_static(layout, values, depths)
-    omitted, no_planes = StateOmissions.of(layout, bases[0], values, depths).planes(settings.scaled_price)
-    levels, quality, codec = [], 0, state_codec(settings.preset)
+    omitted, no_planes = DeltaOmissions.of(layout, bases[0], values, depths).planes(settings.scaled_price)
+    levels, quality, codec = [], 0, delta_codec(settings.preset)
     written = np.arange(len(layout.rows))
     for number, level in enumerate(settings.levels):
         rows = np.flatnonzero((depths != STATIC) & (depths >= number))
         if level.quality != quality:  # no later level carries Gaussians that this one does not
             quality, written = level.quality, rows
             base = bases[quality].part(written)
-            values = StateValues.write(file, frames, layout.rows[written], base, layout.state_steps)
+            values = DeltaValues.write(file, frames, layout.rows[written], base, layout.delta_steps)
         coder = LevelCoder(
             values,
             np.searchsorted(written, rows),
             bases[quality].opacity[rows].astype(np.float64),
-            STATE.steps(layout.state_steps, layout.colours) * level.factor,
+            DELTA.steps(layout.delta_steps, layout.colours) * level.factor,
             [
                 part if (changes > level.factor / 2).any() else None
                 for part, changes in zip(layout.local_segments, largest[:, rows], strict=True)
@@ -104,19 +104,19 @@ def code_deltas(
 
 
 def rank_deltas(
-    layout: GroupLayout, values: StateValues, base: Canonical, settings: EncodeSettings
+    layout: GroupLayout, values: DeltaValues, base: Canonical, settings: EncodeSettings
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
     """Rank the updates of a group by what they are worth; `values` are differences to the decoded space `base`.
 
     Returns (N,) scores, (N,) whether a Gaussian ever changes by half a step, and (S, N) its largest change of any
     channel from the original canonical frame, in steps.
     """
-    steps = STATE.steps(layout.state_steps, layout.colours)[:, None]
+    steps = DELTA.steps(layout.delta_steps, layout.colours)[:, None]
     score, moving = np.empty(values.rows), np.empty(values.rows, bool)
     largest = np.empty((len(layout.segments), values.rows))
     for rows in values.chunks():
-        key = state_channels([layout.key.take(rows)], base.part(rows), layout.state_steps)[0]
-        changes = (values.part(rows) - key) / steps
+        keyframe = delta_channels([layout.keyframe.take(rows)], base.part(rows), layout.delta_steps)[0]
+        changes = (values.part(rows) - keyframe) / steps
         score[rows], moving[rows] = rank_updates(layout, rows, changes, settings.update_rank)
         largest[:, rows] = [np.abs(changes[segment]).max(axis=(0, 1)) for segment in layout.local_segments]
     return score, moving, largest
@@ -126,7 +126,7 @@ def encode_deltas(
     layout: GroupLayout, deltas: CodedDeltas, clock: Clock, settings: EncodeSettings
 ) -> list[Representation]:
     """Encode the pictures of every pruning level, a closed GOP for each segment that is fetched."""
-    codec = state_codec(settings.preset)
+    codec = delta_codec(settings.preset)
 
     def encode(level: CodedLevel) -> Representation:
         if level.samples is None:
@@ -209,7 +209,7 @@ Lines = Sequence[CodedLine | None]  # of each segment
 class LevelCoder:
     """Codes the n rows of a level, one channel after the other."""
 
-    values: StateValues
+    values: DeltaValues
     rows: NDArray[np.intp]  # (n,) among those of the values
     alpha: NDArray[np.float64]  # (n,) canonical, as decoded
     steps: NDArray[np.float64]  # (10 + C,)
@@ -222,7 +222,7 @@ class LevelCoder:
     def code(self, omitted: NDArray[np.bool_]) -> CodedLevel:
         """The rows without the planes of (10 + C,) channels that are left out. Raises CodecError."""
         nothing = tuple(None for _ in self.fetched)
-        count, gain = len(self.steps), qp_step(STATE_QP)
+        count, gain = len(self.steps), qp_step(DELTA_QP)
         if not len(self.rows):
             return CodedLevel(Atlas(0, [0] * count, [], 0, 0), None, None, nothing, nothing)
         low, high = np.empty(count), np.empty(count)
@@ -255,12 +255,12 @@ class LevelCoder:
         """(T, n) values of a channel to be coded, and bases that are taken off besides, of rows that are not drawn."""
         values = self.values.channel(channel, self.rows)
         if channel == OPACITY:
-            return hide_undrawn(values, self.alpha, self.steps[channel] / qp_step(STATE_QP))
+            return hide_undrawn(values, self.alpha, self.steps[channel] / qp_step(DELTA_QP))
         return values, None
 
     def _codes(self, values: NDArray[np.float64], channel: int) -> NDArray[np.int32]:
         """(T, 1, n) codes of (T, n) values."""
-        return to_codes(values[:, None], self.steps[channel : channel + 1], qp_step(STATE_QP), channel)
+        return to_codes(values[:, None], self.steps[channel : channel + 1], qp_step(DELTA_QP), channel)
 
     def _write(self, file: BinaryIO, codes: NDArray[np.int32], hidden: NDArray[np.int32] | None) -> list[Escapes]:
         """Write the samples of a plane from (T, 1, n) centred codes; gives the jumps in segments that are fetched.

@@ -17,7 +17,13 @@ from airgs_codec.analysis.importance import WrittenRows
 from airgs_codec.coding.atlas import UncodableError
 from airgs_codec.coding.channels import Canonical
 from airgs_codec.encoder.deltas import code_deltas, encode_deltas
-from airgs_codec.encoder.keyframes import CodedKeys, code_keys, decode_keys, encode_keys, key_bytes
+from airgs_codec.encoder.keyframes import (
+    CodedKeyframes,
+    code_keyframes,
+    decode_keyframes,
+    encode_keyframes,
+    keyframe_bytes,
+)
 from airgs_codec.encoder.layout import GroupLayout, error_with, lay_out, lay_out_again
 from airgs_codec.encoder.plan import Plan
 from airgs_codec.encoder.streams import Clock, Representation
@@ -39,10 +45,10 @@ class CodedKeyframe:
     """A group whose keyframe is coded: everything that its deltas need."""
 
     layout: GroupLayout
-    keys: CodedKeys
-    pictures: Sequence[Sequence[Representation]]  # key tier x key quality
-    decoded: Sequence[Canonical]  # for each key quality
-    bytes: int  # of all its key pictures and sidecars
+    keyframes: CodedKeyframes
+    pictures: Sequence[Sequence[Representation]]  # keyframe tier x keyframe quality
+    decoded: Sequence[Canonical]  # for each keyframe quality
+    bytes: int  # of all its keyframe pictures and sidecars
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +98,7 @@ def encode_group(
         with naming_farthest(frames):
             deltas = code_deltas(layout, coded.decoded, loaded.frames, plan, clock, Path(scratch))
         pictures = encode_deltas(layout, deltas, clock, plan.settings)
-        group = CodedGroup(layout, coded.keys, deltas, coded.pictures, pictures, frames.first_segment)
+        group = CodedGroup(layout, coded.keyframes, deltas, coded.pictures, pictures, frames.first_segment)
         return GroupFiles(*finish_group(group)), base
 
 
@@ -127,13 +133,13 @@ def _code_keyframe(
 
 
 def _coded(layout: GroupLayout, plan: Plan, frames: Frames, base: Sequence[Canonical]) -> CodedKeyframe:
-    """Code a keyframe, by its difference to the canonical spaces `base`, of each key quality, where there are some."""
+    """Code a keyframe, by its difference to the canonical spaces `base`, of each keyframe quality, where there are some."""
     settings = plan.settings
-    keys = code_keys(layout, settings, base)
-    pictures = encode_keys(layout, keys, Clock.of(frames.sequence.fps), settings)
-    spaces: Sequence[Canonical | None] = base or [None] * len(settings.key_factors)
-    decoded = [decode_keys(layout, keys, pictures, settings, q, space) for q, space in enumerate(spaces)]
-    return CodedKeyframe(layout, keys, pictures, decoded, key_bytes(layout, keys, pictures))
+    keyframes = code_keyframes(layout, settings, base)
+    pictures = encode_keyframes(layout, keyframes, Clock.of(frames.sequence.fps), settings)
+    spaces: Sequence[Canonical | None] = base or [None] * len(settings.keyframe_factors)
+    decoded = [decode_keyframes(layout, keyframes, pictures, settings, q, space) for q, space in enumerate(spaces)]
+    return CodedKeyframe(layout, keyframes, pictures, decoded, keyframe_bytes(layout, keyframes, pictures))
 
 
 @contextmanager

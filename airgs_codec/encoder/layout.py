@@ -1,6 +1,6 @@
 """How a group is coded: its Gaussians, their tiers and order, steps, grid, colour transform and segments.
 
-T frames and N written Gaussians of a group, n of a key tier, C colour channels.
+T frames and N written Gaussians of a group, n of a keyframe tier, C colour channels.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from numpy.typing import NDArray
 from airgs_codec._sampling import middle_frames
 from airgs_codec.analysis.importance import WrittenRows
 from airgs_codec.analysis.sensitivity import Sensitivity
-from airgs_codec.coding.channels import Canonical, colour_transform, dequantise_key, key_channels
+from airgs_codec.coding.channels import Canonical, colour_transform, dequantise_keyframe, keyframe_channels
 from airgs_codec.coding.motion import channel_weights, classify_motion, share_class, withheld_error
-from airgs_codec.coding.sidecar import KeySidecar, fit_grid, grid_codes
+from airgs_codec.coding.sidecar import KeyframeSidecar, fit_grid, grid_codes
 from airgs_codec.encoder.settings import DEFAULT_TIERS, EncodeSettings
 from airgs_codec.encoder.survey import Frames, Span, Survey
 from airgs_codec.encoder.views import Pictures, Views
-from airgs_codec.package.layout import KEY, STATE, Layout
-from airgs_codec.package.tables import STATIC, Grid, KeySteps, StateSteps, difference_steps
+from airgs_codec.package.layout import KEYFRAME, DELTA, Layout
+from airgs_codec.package.tables import STATIC, Grid, KeyframeSteps, DeltaSteps, difference_steps
 from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.frames import Repaired
 from airgs_codec.scene.gaussians import Gaussians, mean_frame
 
-MOST_FACTOR = 3.0  # of a tier on key steps, times the least of any
+MOST_FACTOR = 3.0  # of a tier on keyframe steps, times the least of any
 MOTION_FRAMES = 4  # that tell whether Gaussians move together
 COARSER = 1.5  # times as coarse for a group as for its base may the motion classes of that be
 
@@ -46,18 +46,18 @@ class GroupLayout:
     notes: tuple[str, ...]  # repairs
     removal_error: float  # mean squared error of pictures without the Gaussians left out
     rows: NDArray[np.intp]  # (N,) of the input
-    key: Gaussians  # N: the canonical frame, the mean of all frames, which the keyframe codes
+    keyframe: Gaussians  # N: the canonical frame, the mean of all frames, which the keyframe codes
     tiers: NDArray[np.uint8]  # (N,) ascending
-    factors: tuple[float, ...]  # of each tier, on the key steps
+    factors: tuple[float, ...]  # of each tier, on the keyframe steps
     codes: NDArray[np.uint64]  # (N,) Morton codes of the finest cells, ascending within a tier
     wider: NDArray[np.int16]  # (N,) e of the grid that a Gaussian lies in
     classes: NDArray[np.int16]  # (N,) motion classes
-    score: NDArray[np.float64]  # (N,) what ranks Gaussians for key tiers
+    score: NDArray[np.float64]  # (N,) what ranks Gaussians for keyframe tiers
     hits: NDArray[np.float64]  # (N,) pixels where a Gaussian is blended: the paper's usage frequency
     sensitivity: Sensitivity
     grid: Grid
-    key_steps: KeySteps
-    state_steps: StateSteps
+    keyframe_steps: KeyframeSteps
+    delta_steps: DeltaSteps
     transform: NDArray[np.float64]  # (C, C) KLT of the colours, as stored
     renderer: Renderer
     keeps: int | None = None  # the number, from 1, of the group that its keyframe is coded against
@@ -81,38 +81,38 @@ class GroupLayout:
         return slice(int(low), int(high))
 
     @property
-    def difference_steps(self) -> StateSteps:
+    def difference_steps(self) -> DeltaSteps:
         """Steps of the difference to the keyframe of another group."""
-        return difference_steps(self.key_steps, self.grid)
+        return difference_steps(self.keyframe_steps, self.grid)
 
-    def state_weights(self, rows: slice | NDArray[np.intp] = slice(None)) -> NDArray[np.float64]:
+    def delta_weights(self, rows: slice | NDArray[np.intp] = slice(None)) -> NDArray[np.float64]:
         """(10 + C, n) what a squared step in a delta channel adds to the squared error of pictures."""
         return channel_weights(
-            self.classes[rows], self.sensitivity.take(rows).by_attribute(), self.state_steps, self.transform
+            self.classes[rows], self.sensitivity.take(rows).by_attribute(), self.delta_steps, self.transform
         )
 
-    def key_weights(self) -> NDArray[np.float64]:
+    def keyframe_weights(self) -> NDArray[np.float64]:
         """(7 + C, N) the same for the channels of a keyframe, which has no means."""
         weights = channel_weights(self.classes, self.sensitivity.by_attribute(), self.difference_steps, self.transform)
-        return weights[STATE.slice("means").stop :]
+        return weights[DELTA.slice("means").stop :]
 
-    def tier_steps(self, tier: int, layout: Layout = KEY) -> NDArray[np.float64]:
-        """(c,) steps of the channels of the picture of a tier at quality factor 1; that of a difference is a STATE."""
+    def tier_steps(self, tier: int, layout: Layout = KEYFRAME) -> NDArray[np.float64]:
+        """(c,) steps of the channels of the picture of a tier at quality factor 1; that of a difference is a DELTA."""
         return layout.steps(self.difference_steps, self.colours) * self.factors[tier]
 
-    def key_values(self) -> NDArray[np.float64]:
+    def keyframe_values(self) -> NDArray[np.float64]:
         """(7 + C, N) keyframe channels."""
-        return key_channels(self.key, self.transform, self.key_steps, self.grid.unit)
+        return keyframe_channels(self.keyframe, self.transform, self.keyframe_steps, self.grid.unit)
 
     def canonical_space(self, channels: NDArray[np.float32], depths: NDArray[np.uint8]) -> Canonical:
         """The canonical space of (7 + C, N) decoded channels and (N,) depths, with the finest positions."""
         sidecar = self.sidecar(slice(None), depths)
-        return dequantise_key(channels, sidecar, self.transform, self.grid, self.key_steps)
+        return dequantise_keyframe(channels, sidecar, self.transform, self.grid, self.keyframe_steps)
 
-    def sidecar(self, rows: slice, depths: NDArray[np.uint8] | None = None) -> KeySidecar:
+    def sidecar(self, rows: slice, depths: NDArray[np.uint8] | None = None) -> KeyframeSidecar:
         """Some Gaussians with the finest positions, and their depths, of (N,); without these all are static."""
         deep = np.full(len(self.codes), STATIC, np.uint8) if depths is None else depths
-        return KeySidecar(self.codes[rows], self.classes[rows], self.wider[rows], deep[rows])
+        return KeyframeSidecar(self.codes[rows], self.classes[rows], self.wider[rows], deep[rows])
 
 
 def lay_out(
@@ -129,17 +129,17 @@ def lay_out(
     order = np.lexsort((codes, tiers))
     moving = (loaded.frames[t].means[written.rows] for t in middle_frames(0, len(loaded.frames), MOTION_FRAMES))
     changes = ((means - canonical.means)[order].T for means in moving)
-    classes[order] = share_class(classes[order], sensitivity[order], changes, steps.state.means)
+    classes[order] = share_class(classes[order], sensitivity[order], changes, steps.delta.means)
     grid = fit_grid(canonical.means, classes, steps.grid)
     codes, wider = grid_codes(canonical.means, classes, grid)
     order = np.lexsort((codes, tiers))
     rows = written.rows[order]
-    transform = colour_transform(canonical.take(order), steps.key, steps.colours)
+    transform = colour_transform(canonical.take(order), steps.keyframe, steps.colours)
     layout = GroupLayout(
         **_of_frames(loaded, frames, views, settings),
         removal_error=written.error,
         rows=rows,
-        key=canonical.take(order),
+        keyframe=canonical.take(order),
         tiers=tiers[order],
         factors=(1.0,) * len(settings.tiers),
         codes=codes[order],
@@ -149,12 +149,14 @@ def lay_out(
         hits=survey.usage.measure("hits")[rows],
         sensitivity=survey.sensitivity.take(rows),
         grid=grid,
-        key_steps=steps.key,
-        state_steps=steps.state,
+        keyframe_steps=steps.keyframe,
+        delta_steps=steps.delta,
         transform=transform,
         renderer=survey.renderer,
     )
-    return replace(layout, factors=tier_factors(layout.key_weights().sum(axis=0), layout.tiers, len(settings.tiers)))
+    return replace(
+        layout, factors=tier_factors(layout.keyframe_weights().sum(axis=0), layout.tiers, len(settings.tiers))
+    )
 
 
 def lay_out_again(
@@ -174,12 +176,12 @@ def lay_out_again(
         base,
         **_of_frames(loaded, frames, views, settings),
         removal_error=error,
-        key=mean_frame(loaded.frames).take(base.rows),
+        keyframe=mean_frame(loaded.frames).take(base.rows),
         score=survey.score(settings.usage)[base.rows],
         hits=survey.usage.measure("hits")[base.rows],
         sensitivity=survey.sensitivity.take(base.rows),
         keeps=base.number,
-        before=base.key,
+        before=base.keyframe,
     )
 
 
@@ -202,18 +204,18 @@ def error_with(
             return None
         error = found.error
     here, there = (
-        _coarseness(base.classes, sensitivity, key, views.scale)
-        for sensitivity, key in (
+        _coarseness(base.classes, sensitivity, keyframe, views.scale)
+        for sensitivity, keyframe in (
             (survey.sensitivity.take(rows), mean_frame(loaded.frames).take(rows)),
-            (base.sensitivity, base.key),
+            (base.sensitivity, base.keyframe),
         )
     )
     return None if here > COARSER * there else error
 
 
-def _coarseness(classes: NDArray[np.int16], sensitivity: Sensitivity, key: Gaussians, scale: float) -> float:
+def _coarseness(classes: NDArray[np.int16], sensitivity: Sensitivity, keyframe: Gaussians, scale: float) -> float:
     """The squared error of pictures by means of these motion classes over that by those that views ask for."""
-    asked = classify_motion(sensitivity.means, key, scale)
+    asked = classify_motion(sensitivity.means, keyframe, scale)
     errors = [float(sensitivity.means @ np.exp2(2.0 * some)) for some in (classes, asked)]
     return errors[0] / errors[1] if errors[1] else 1.0
 
@@ -240,7 +242,8 @@ def split_segments(span: Span, segment_s: float, fps: Fraction) -> tuple[Span, .
 
 
 def assign_tiers(usage: NDArray[np.float64], shares: Sequence[float] = DEFAULT_TIERS) -> NDArray[np.uint8]:
-    """Assign each of N Gaussians to a key tier, (N,): those with the highest `usage` (N,) to the first, ties in order.
+    """Assign each of N Gaussians to a keyframe tier, (N,): those with the highest `usage` (N,) to the first, ties in
+    order.
 
     Tiers hold `shares` of them, which sum to 1. The first has at least one, since some levels have no other.
     """
@@ -252,7 +255,8 @@ def assign_tiers(usage: NDArray[np.float64], shares: Sequence[float] = DEFAULT_T
 
 
 def tier_factors(weights: NDArray[np.float64], tiers: NDArray[np.integer], count: int) -> tuple[float, ...]:
-    """Find a factor on the key steps of each of `count` tiers, with which bytes are least at the error of no factors.
+    """Find a factor on the keyframe steps of each of `count` tiers, with which bytes are least at the error of no
+    factors.
 
     `weights` (N,) are the errors that a squared step makes in the Gaussians. Where steps are small against values,
     bytes fall with the logarithm of a factor and error grows with its square, so that all tiers should err alike:
@@ -303,7 +307,7 @@ def rank_updates(
     the pixels where it is blended alone ("hits"), as in the paper.
     """
     if rank == "error":
-        score = withheld_error(changes, layout.state_weights(rows))
+        score = withheld_error(changes, layout.delta_weights(rows))
     elif rank == "hits":
         score = layout.hits[rows]
     else:

@@ -1,9 +1,9 @@
 """The quality of every rung of a finished package, measured once against the original frames.
 
-A rung is a pruning level with a key quality. Pictures are of frames evenly spread over the package, each from a view of
-its own. The top rung is measured in as many as bound the standard error of its PSNR, others in as many of these as
-bound that of their ratio to it (a ratio estimator; Cochran, Sampling Techniques, 1977, chapter 6): a view that is hard
-for one rung is hard for all.
+A rung is a pruning level with a keyframe quality. Pictures are of frames evenly spread over the package, each from a
+view of its own. The top rung is measured in as many as bound the standard error of its PSNR, others in as many of these
+as bound that of their ratio to it (a ratio estimator; Cochran, Sampling Techniques, 1977, chapter 6): a view that is
+hard for one rung is hard for all.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from airgs_codec.scene.sequence import GaussianSequence
 FIRST = 8  # pictures of every rung, which tell how many more it needs
 ERROR_DB = 0.15  # standard error of a PSNR that is aimed at
 
-Rung = tuple[int, int]  # pruning level, key quality
+Rung = tuple[int, int]  # pruning level, keyframe quality
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,6 +1,6 @@
 """Parts that a group's pictures can do without, by what rendering without them shows.
 
-T frames and N rows of the group, n rows of its first level, C colour channels. States are in a file, which is read by
+T frames and N rows of the group, n rows of its first level, C colour channels. Deltas are in a file, which is read by
 channels, by rows or by frames as each step needs them. Each decision comes with a note for the tables, None where
 nothing was left out.
 """
@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.analysis.importance import CostSums, estimate_cost, pooled_error, pooled_within, select_omissions
-from airgs_codec.coding.channels import Canonical, StateApplier, frame_channels, hold_undrawn
+from airgs_codec.coding.channels import Canonical, DeltaApplier, frame_channels, hold_undrawn
 from airgs_codec.coding.kernels import row_chunks
 from airgs_codec.encoder.layout import GroupLayout
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import Frames, Survey
 from airgs_codec.media.metrics import Picture, psnr
-from airgs_codec.package.layout import KEY, STATE
-from airgs_codec.package.tables import STATIC, LeftOut, StateSteps
+from airgs_codec.package.layout import KEYFRAME, DELTA
+from airgs_codec.package.tables import STATIC, LeftOut, DeltaSteps
 from airgs_codec.render.compare import Source, compare, draw_frames, draw_once, draw_still
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 
@@ -30,8 +30,8 @@ _BYTES = np.dtype(np.float64).itemsize
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StateValues:
-    """`coding.channels.state_channels` of all frames of a group: one plane of T x N float64 after the other."""
+class DeltaValues:
+    """`coding.channels.delta_channels` of all frames of a group: one plane of T x N float64 after the other."""
 
     path: Path
     frames: int  # T
@@ -40,10 +40,10 @@ class StateValues:
 
     @staticmethod
     def write(
-        path: Path, frames: Sequence[Gaussians], rows: NDArray[np.intp], base: Canonical, steps: StateSteps
-    ) -> StateValues:
+        path: Path, frames: Sequence[Gaussians], rows: NDArray[np.intp], base: Canonical, steps: DeltaSteps
+    ) -> DeltaValues:
         """Differences of some `rows` (N,) of frames, which are looked at one by one, to a decoded canonical space."""
-        values = StateValues(path, len(frames), STATE.width(base.colour.shape[1]), len(rows))
+        values = DeltaValues(path, len(frames), DELTA.width(base.colour.shape[1]), len(rows))
         drawn = np.empty((values.frames, values.rows), bool)
         with path.open("wb") as file:
             for t, frame in enumerate(frames):
@@ -61,7 +61,7 @@ class StateValues:
         rows = np.flatnonzero(~drawn.all(axis=0))
         if not len(rows):
             return
-        opacity = STATE.slice("opacity")
+        opacity = DELTA.slice("opacity")
         with self.path.open("r+b") as file:
             for channel in np.delete(np.arange(self.channels), opacity).tolist():
                 plane = self.channel(channel, slice(None))
@@ -122,7 +122,7 @@ def omit_bands(frames: Frames, survey: Survey, settings: EncodeSettings) -> tupl
     without it.
     """
     sequence, count = frames.sequence, frames.stop - frames.start
-    step, price = settings.steps.key.sh_rest * settings.quality, settings.scaled_price
+    step, price = settings.steps.keyframe.sh_rest * settings.quality, settings.scaled_price
     if not sequence.sh_degree or price == 0:
         return sequence.sh_degree, ""
     g = sequence.load([frames.start + count // 2]).frames[0]
@@ -149,26 +149,26 @@ def _band_bytes(g: Gaussians, band: int, step: float) -> float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KeyOmissions:
-    """Parts that the key of a group can do without."""
+class KeyframeOmissions:
+    """Parts that the keyframe of a group can do without."""
 
     layout: GroupLayout
-    values: NDArray[np.float64]  # (7 + C, N) key channels
+    values: NDArray[np.float64]  # (7 + C, N) keyframe channels
     centres: NDArray[np.float64]  # (7 + C,) medians
     sizes: NDArray[np.float64]  # (7 + C,) bytes a frame of the group, estimated
     guesses: NDArray[np.float64]  # (7 + C,) errors of leaving a channel out, estimated
 
     @staticmethod
-    def of(layout: GroupLayout, values: NDArray[np.float64]) -> KeyOmissions:
+    def of(layout: GroupLayout, values: NDArray[np.float64]) -> KeyframeOmissions:
         centres = np.median(values, axis=1)
         factors = np.array(layout.factors)[layout.tiers]
-        apart = (values - centres[:, None]) / np.outer(KEY.steps(layout.key_steps, layout.colours), factors)
-        weights = layout.key_weights() * factors**2
+        apart = (values - centres[:, None]) / np.outer(KEYFRAME.steps(layout.keyframe_steps, layout.colours), factors)
+        weights = layout.keyframe_weights() * factors**2
         sizes, guesses = estimate_cost(apart[None], np.zeros(len(centres)), weights)
-        return KeyOmissions(layout, values, centres, sizes / layout.frames, guesses)
+        return KeyframeOmissions(layout, values, centres, sizes / layout.frames, guesses)
 
     def gaussians(self) -> LeftOut | None:
-        """Note the Gaussians that are not written, with the bytes of as many of the written ones, keys alone."""
+        """Note the Gaussians that are not written, with the bytes of as many of the written ones, keyframes alone."""
         written = len(self.layout.rows)
         missing = self.layout.count - written
         size = float(self.sizes.sum()) / written * missing
@@ -187,51 +187,51 @@ class KeyOmissions:
 
         chosen, cost = select_omissions(self.sizes, self.guesses, error, price)
         saved = float(self.sizes[chosen].sum())
-        return chosen, note_omission("key planes", int(chosen.sum()), cost, saved)
+        return chosen, note_omission("keyframe planes", int(chosen.sum()), cost, saved)
 
     def _show(self, values: NDArray[np.float64]) -> Source:
-        """The canonical frame with these (7 + C, N) key channels."""
+        """The canonical frame with these (7 + C, N) keyframe channels."""
         depths = np.zeros(len(self.layout.codes), np.uint8)
         shown = self.layout.canonical_space(values.astype(np.float32), depths).to_gaussians()
         return draw_still(shown, self.layout.renderer)
 
 
-def note_static(layout: GroupLayout, values: StateValues, depths: NDArray[np.uint8]) -> LeftOut | None:
+def note_static(layout: GroupLayout, values: DeltaValues, depths: NDArray[np.uint8]) -> LeftOut | None:
     """Note how many rows are static, the error that this is expected to add, and the bytes a frame that it saves."""
     still = depths == STATIC
-    sizes, errors = _estimate_states(layout, values, still, np.zeros(values.channels), slice(None))
+    sizes, errors = _estimate_deltas(layout, values, still, np.zeros(values.channels), slice(None))
     size = float(sizes.sum()) / values.frames
     return note_omission("updates", int(still.sum()), float(errors.sum()), size)
 
 
-def _estimate_states(
-    layout: GroupLayout, values: StateValues, rows: NDArray[np.bool_], centres: NDArray[np.float64], frames: slice
+def _estimate_deltas(
+    layout: GroupLayout, values: DeltaValues, rows: NDArray[np.bool_], centres: NDArray[np.float64], frames: slice
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """`estimate_cost` of the states of a mask of rows (N,) in some frames; `centres` (10 + C,) are in channel units."""
-    steps = STATE.steps(layout.state_steps, layout.colours)
+    """`estimate_cost` of the deltas of a mask of rows (N,) in some frames; `centres` (10 + C,) are in channel units."""
+    steps = DELTA.steps(layout.delta_steps, layout.colours)
     sums = CostSums.of(centres / steps)
     for part in values.chunks():
         chosen = np.flatnonzero(rows[part])
         if len(chosen):
-            states = values.part(part, frames)[:, :, chosen] / steps[:, None]
-            sums.add(states, layout.state_weights(part)[:, chosen])
+            deltas = values.part(part, frames)[:, :, chosen] / steps[:, None]
+            sums.add(deltas, layout.delta_weights(part)[:, chosen])
     return sums.costs()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StateOmissions:
-    """Parts that the states of a group can do without."""
+class DeltaOmissions:
+    """Parts that the deltas of a group can do without."""
 
     layout: GroupLayout
-    values: StateValues  # of the finest key quality
+    values: DeltaValues  # of the finest keyframe quality
     depths: NDArray[np.uint8]  # (N,)
-    applier: StateApplier  # of the n rows
+    applier: DeltaApplier  # of the n rows
 
     @staticmethod
-    def of(layout: GroupLayout, base: Canonical, values: StateValues, depths: NDArray[np.uint8]) -> StateOmissions:
+    def of(layout: GroupLayout, base: Canonical, values: DeltaValues, depths: NDArray[np.uint8]) -> DeltaOmissions:
         """From differences to a canonical space and the (N,) depths of rows."""
-        applier = StateApplier.of(base, np.flatnonzero(depths != STATIC), layout.state_steps)
-        return StateOmissions(layout, values, depths, applier)
+        applier = DeltaApplier.of(base, np.flatnonzero(depths != STATIC), layout.delta_steps)
+        return DeltaOmissions(layout, values, depths, applier)
 
     def planes(self, price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
         """(10 + C,) channels that every row may take from the channel's median."""
@@ -249,10 +249,10 @@ class StateOmissions:
 
         chosen, cost = select_omissions(sizes / frames, guesses, error, price)
         saved = float(sizes[chosen].sum()) / frames
-        return chosen, note_omission("state planes", int(chosen.sum()), cost, saved)
+        return chosen, note_omission("delta planes", int(chosen.sum()), cost, saved)
 
     def _estimate(self, centres: NDArray[np.float64], frames: slice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        return _estimate_states(self.layout, self.values, self.depths != STATIC, centres, frames)
+        return _estimate_deltas(self.layout, self.values, self.depths != STATIC, centres, frames)
 
     def _show(self, omitted: NDArray[np.bool_], centres: NDArray[np.float64]) -> Source:
         """The frames of the group, whose `omitted` channels are at their centres."""

@@ -66,7 +66,7 @@ class Plan:
             if (
                 number == 0
                 or alone
-                or self.settings.keys == APART
+                or self.settings.keyframes == APART
                 or (self.run and number - begins[-1] >= self.run)
                 or start in sequence.breaks
                 or sequence.count(start) != sequence.count(start - 1)

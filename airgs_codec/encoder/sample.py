@@ -25,19 +25,25 @@ from airgs_codec.coding.atlas import (
     read_codes,
     to_codes,
 )
-from airgs_codec.coding.channels import Canonical, colour_transform, dequantise_key, key_channels, state_channels
+from airgs_codec.coding.channels import (
+    Canonical,
+    colour_transform,
+    dequantise_keyframe,
+    keyframe_channels,
+    delta_channels,
+)
 from airgs_codec.coding.motion import StepSettings, channel_weights, withheld_error
 from airgs_codec.coding.rangecoder import encode_columns
-from airgs_codec.coding.sidecar import KeySidecar, fit_grid, grid_codes, pack_key_sidecar
+from airgs_codec.coding.sidecar import KeyframeSidecar, fit_grid, grid_codes, pack_keyframe_sidecar
 from airgs_codec.media.h264 import (
     ClosedGop,
     CodecSettings,
     encode_gop,
-    key_codec,
+    keyframe_codec,
     qp_step,
-    state_codec,
+    delta_codec,
 )
-from airgs_codec.package.layout import KEY, STATE
+from airgs_codec.package.layout import KEYFRAME, DELTA
 from airgs_codec.scene.gaussians import Gaussians
 
 Weights = NDArray[np.float64]
@@ -54,8 +60,8 @@ class Cost:
     """Bytes a frame of the group, and mean squared error over picture samples."""
 
     bytes: float
-    key_error: float  # of rows that show the canonical frame
-    state_error: float  # of rows that are updated
+    keyframe_error: float  # of rows that show the canonical frame
+    delta_error: float  # of rows that are updated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,15 +69,15 @@ class CalibrationSample:
     """Blocks of rows of a group in file order, over some of its frames."""
 
     index: NDArray[np.intp]  # (n,) rows of the group in file order
-    key: Gaussians  # n rows of the canonical frame
+    keyframe: Gaussians  # n rows of the canonical frame
     frames: list[Gaussians]  # T, one after the other
     classes: NDArray[np.int16]  # (n,)
     sensitivity: Sensitivity  # (n,)
     moving: NDArray[np.bool_]  # (n,) rows that some level carries
-    factors: NDArray[np.float64]  # (n,) on the key steps
+    factors: NDArray[np.float64]  # (n,) on the keyframe steps
     row_ratio: float  # rows of the group for each of the sample
     group_frames: int  # frames of the group
-    segment_frames: int  # frames of a state segment
+    segment_frames: int  # frames of a delta segment
     lined: bool = False  # whether segments have lines
 
     def take(self, rows: NDArray[np.bool_]) -> CalibrationSample:
@@ -79,7 +85,7 @@ class CalibrationSample:
         return replace(
             self,
             index=self.index[rows],
-            key=self.key.take(rows),
+            keyframe=self.keyframe.take(rows),
             frames=[frame.take(rows) for frame in self.frames],
             classes=self.classes[rows],
             sensitivity=self.sensitivity.take(np.flatnonzero(rows)),
@@ -87,97 +93,99 @@ class CalibrationSample:
             factors=self.factors[rows],
         )
 
-    def cost(self, steps: StepSettings, attributes: Sequence[str] = STATE.attributes) -> Cost:
-        """Estimate what coding the keys and states of these attributes costs at `steps`."""
+    def cost(self, steps: StepSettings, attributes: Sequence[str] = DELTA.attributes) -> Cost:
+        """Estimate what coding the keyframes and deltas of these attributes costs at `steps`."""
         size, errors = 0.0, np.zeros(len(self.classes))
         for attribute in attributes:
-            key_bytes, base = self.code_key(steps, 1.0, (attribute,))
-            states = self.states(base, steps)
-            state_bytes, shown = self.code_states(states, 1.0, STATE.slice(attribute))
-            size += key_bytes + state_bytes
+            keyframe_bytes, base = self.code_keyframe(steps, 1.0, (attribute,))
+            deltas = self.deltas(base, steps)
+            delta_bytes, shown = self.code_deltas(deltas, 1.0, DELTA.slice(attribute))
+            size += keyframe_bytes + delta_bytes
             errors += self.error(shown, steps)
         return Cost(size, float(errors[~self.moving].sum()), float(errors[self.moving].sum()))
 
-    def code_key(
-        self, steps: StepSettings, factor: float, attributes: Sequence[str] = STATE.attributes
+    def code_keyframe(
+        self, steps: StepSettings, factor: float, attributes: Sequence[str] = DELTA.attributes
     ) -> tuple[float, Canonical]:
         """Bytes a frame, and the canonical space as decoded; attributes that are not named stay exact."""
         transform = self._transform(steps)
-        channels, size = self._code_key_channels(steps, transform, factor, attributes)
-        grid = fit_grid(self.key.means, self.classes, steps.grid)
-        codes, wider = grid_codes(self.key.means, self.classes, grid)
+        channels, size = self._code_keyframe_channels(steps, transform, factor, attributes)
+        grid = fit_grid(self.keyframe.means, self.classes, steps.grid)
+        codes, wider = grid_codes(self.keyframe.means, self.classes, grid)
         still = np.zeros(len(codes), np.uint8)
         if "means" in attributes:
             order = np.argsort(codes, kind="stable")
-            sorted_rows = KeySidecar(codes[order], self.classes[order], wider[order], still)
-            size += len(pack_key_sidecar(sorted_rows, grid))
-        base = dequantise_key(channels, KeySidecar(codes, self.classes, wider, still), transform, grid, steps.key)
+            sorted_rows = KeyframeSidecar(codes[order], self.classes[order], wider[order], still)
+            size += len(pack_keyframe_sidecar(sorted_rows, grid))
+        base = dequantise_keyframe(
+            channels, KeyframeSidecar(codes, self.classes, wider, still), transform, grid, steps.keyframe
+        )
         return self.row_ratio * size / self.group_frames, base
 
-    def _code_key_channels(
+    def _code_keyframe_channels(
         self, steps: StepSettings, transform: NDArray[np.float64], factor: float, attributes: Sequence[str]
     ) -> tuple[NDArray[np.float32], float]:
-        """(7 + C, n) key channels, those of the named attributes as decoded, and the bytes of their picture."""
-        values = key_channels(self.key, transform, steps.key, steps.grid)
+        """(7 + C, n) keyframe channels, those of the named attributes as decoded, and the bytes of their picture."""
+        values = keyframe_channels(self.keyframe, transform, steps.keyframe, steps.grid)
         channels = values.astype(np.float32)
         chosen = np.zeros(len(values), bool)
-        for attribute in set(attributes) & set(KEY.attributes):
-            chosen[KEY.slice(attribute)] = True
+        for attribute in set(attributes) & set(KEYFRAME.attributes):
+            chosen[KEYFRAME.slice(attribute)] = True
         if not chosen.any():
             return channels, 0.0
-        step = KEY.steps(steps.key, len(transform))[chosen] * factor
+        step = KEYFRAME.steps(steps.keyframe, len(transform))[chosen] * factor
         centres = np.median(values[chosen], axis=1, keepdims=True)
         apart = (values[chosen] - centres) / self.factors
-        sizes, decoded = encode_and_decode(apart[None], step, key_codec(PRESET))
+        sizes, decoded = encode_and_decode(apart[None], step, keyframe_codec(PRESET))
         channels[chosen] = centres + decoded[0] * self.factors
         return channels, float(sizes[0])
 
     def error(self, errors: NDArray[np.float64], steps: StepSettings) -> NDArray[np.float64]:
         """(n,) what errors (T, 10 + C, n), in steps, add to the mean squared error of pictures of the whole group."""
-        weights = channel_weights(self.classes, self.sensitivity.by_attribute(), steps.state, self._transform(steps))
+        weights = channel_weights(self.classes, self.sensitivity.by_attribute(), steps.delta, self._transform(steps))
         return self.row_ratio * withheld_error(errors, weights)
 
     def _transform(self, steps: StepSettings) -> NDArray[np.float64]:
-        return colour_transform(self.key, steps.key, steps.colours)
+        return colour_transform(self.keyframe, steps.keyframe, steps.colours)
 
-    def states(self, base: Canonical, steps: StepSettings) -> NDArray[np.float64]:
+    def deltas(self, base: Canonical, steps: StepSettings) -> NDArray[np.float64]:
         """(1 + T, 10 + C, n) differences of the canonical frame and the others to a canonical space, in steps."""
-        values = state_channels([self.key, *self.frames], base, steps.state)
-        return values / STATE.steps(steps.state, base.colour.shape[1])[:, None]
+        values = delta_channels([self.keyframe, *self.frames], base, steps.delta)
+        return values / DELTA.steps(steps.delta, base.colour.shape[1])[:, None]
 
-    def with_line(self, states: NDArray[np.float64], steps: StepSettings) -> CalibrationSample:
+    def with_line(self, deltas: NDArray[np.float64], steps: StepSettings) -> CalibrationSample:
         """The same sample, with lines if its moving Gaussians take fewer bytes at equal error with them.
 
-        `states` are those of `self.states`.
+        `deltas` are those of `self.deltas`.
         """
         moving = np.flatnonzero(self.moving)
-        if len(states) - 1 < LEAST_LINED or not len(moving):
+        if len(deltas) - 1 < LEAST_LINED or not len(moving):
             return self
         weights = channel_weights(
-            self.classes[moving], self.sensitivity.take(moving).by_attribute(), steps.state, self._transform(steps)
+            self.classes[moving], self.sensitivity.take(moving).by_attribute(), steps.delta, self._transform(steps)
         )
-        costs, values, ones = [], states[1:, :, moving], np.ones(states.shape[1])
+        costs, values, ones = [], deltas[1:, :, moving], np.ones(deltas.shape[1])
         for line in (False, True):
-            sizes, decoded = encode_and_decode(values, ones, state_codec(PRESET), line)
+            sizes, decoded = encode_and_decode(values, ones, delta_codec(PRESET), line)
             error = float(withheld_error(decoded - values, weights).sum())
             costs.append(sum(sizes) * max(error, LEAST_ERROR) ** RATE_OF_ERROR)
         return replace(self, lined=costs[1] < costs[0])
 
-    def code_states(
-        self, states: NDArray[np.float64], factor: float, part: slice = slice(None)
+    def code_deltas(
+        self, deltas: NDArray[np.float64], factor: float, part: slice = slice(None)
     ) -> tuple[float, NDArray[np.float64]]:
         """Bytes a frame of moving rows, and (T, 10 + C, n) errors in steps of what is shown, in the channels `part`.
 
-        `states` are those of `self.states`. A row that is not moving has the error of its canonical frame.
+        `deltas` are those of `self.deltas`. A row that is not moving has the error of its canonical frame.
         """
-        errors = np.zeros_like(states[1:])
-        channels = np.arange(states.shape[1])[part]
+        errors = np.zeros_like(deltas[1:])
+        channels = np.arange(deltas.shape[1])[part]
         still, moving = np.flatnonzero(~self.moving), np.flatnonzero(self.moving)
-        errors[:, channels[:, None], still] = states[0][channels[:, None], still]
+        errors[:, channels[:, None], still] = deltas[0][channels[:, None], still]
         if not len(moving):
             return 0.0, errors
-        values = states[1:, channels[:, None], moving]
-        steps, codec = np.full(len(channels), factor), state_codec(PRESET)
+        values = deltas[1:, channels[:, None], moving]
+        steps, codec = np.full(len(channels), factor), delta_codec(PRESET)
         sizes, decoded = encode_and_decode(values, steps, codec, self.lined)
         errors[:, channels[:, None], moving] = decoded - values
         others = float(np.mean(sizes[1:])) if len(sizes) > 1 else 0.0

@@ -14,7 +14,7 @@ from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
 from airgs_codec.analysis.rows import AUTO, ROWS
 from airgs_codec.coding.motion import StepSettings
 from airgs_codec.errors import ConfigError
-from airgs_codec.media.h264 import DEFAULT_PRESET, KEY_QP, PRESETS, STATE_QP
+from airgs_codec.media.h264 import DEFAULT_PRESET, KEYFRAME_QP, PRESETS, DELTA_QP
 from airgs_codec.package.parse import fault_of, read_region
 from airgs_codec.package.tables import GRID_BITS, MAX_CHOICES, Region, World
 from airgs_codec.scene.beside import MEASURES
@@ -22,12 +22,12 @@ from airgs_codec.scene.beside import MEASURES
 
 @dataclass(frozen=True, slots=True)
 class LevelSettings:
-    """A level, and with its key quality a rung of the ladder."""
+    """A level, and with its keyframe quality a rung of the ladder."""
 
     pruned: float  # share of the updates that is withheld
-    factor: float = 1.0  # on the state steps
-    tiers: int = 0  # key tiers that its viewers fetch; 0: all
-    quality: int = 0  # key quality that its states correct
+    factor: float = 1.0  # on the delta steps
+    tiers: int = 0  # keyframe tiers that its viewers fetch; 0: all
+    quality: int = 0  # keyframe quality that its deltas correct
 
     @property
     def words(self) -> str:
@@ -64,12 +64,12 @@ DEFAULT_LEVELS = (
     LevelSettings(0.6, 3.0, quality=1),
 )
 PREVIEW_LEVELS = (LevelSettings(0.4, 1.0), LevelSettings(0.75, 2.0, quality=1))
-PAPER_LEVELS = tuple(LevelSettings(share / 10) for share in range(11))  # the last one holds the key
+PAPER_LEVELS = tuple(LevelSettings(share / 10) for share in range(11))  # the last one holds the keyframe
 QUALITY_FACTORS = {"low": 1.6, "medium": 1.0, "high": 0.6}
 UPDATE_RANKS = ("error", "usage", "hits")
-CELL_GROWTH = 0.75  # cells of positions grow with this power of the key factor: ever fewer rows are updated
-KEYS = ("kept", "apart")
-KEPT, APART = KEYS
+CELL_GROWTH = 0.75  # cells of positions grow with this power of the keyframe factor: ever fewer rows are updated
+KEYFRAMES = ("kept", "apart")
+KEPT, APART = KEYFRAMES
 DEFAULT_TIERS = (0.8, 0.2)  # core, rest
 CALIBRATIONS = ("ladder", "steps", "none")
 
@@ -97,24 +97,24 @@ class EncodeSettings:
     levels: tuple[LevelSettings, ...] = setting(
         DEFAULT_LEVELS,
         "for each level the percentage of the updates withheld and a factor on the steps; percentages (as text, shares "
-        "of 0 to 1 here) ascend; beside them stand the number of key tiers, descending, and the key quality, ascending",
+        "of 0 to 1 here) ascend; beside them stand the number of keyframe tiers, descending, and the keyframe quality, ascending",
         read=read_levels,
         metavar="PRUNED:FACTOR,…",
         default=",".join(level.words for level in DEFAULT_LEVELS),
     )
-    tiers: tuple[float, ...] = setting(DEFAULT_TIERS, "share of the Gaussians in each key tier, summing to 1")
+    tiers: tuple[float, ...] = setting(DEFAULT_TIERS, "share of the Gaussians in each keyframe tier, summing to 1")
     shares: Shares = computed_setting(
         tuple,
         "(factor on the steps, share of the updates to withhold), ascending; calibration finds them",
         option=False,
     )
-    key_factors: tuple[float, ...] = setting(
-        (1.0, 3.0), "for each key quality a factor on the key steps; cells of positions grow with it"
+    keyframe_factors: tuple[float, ...] = setting(
+        (1.0, 3.0), "for each keyframe quality a factor on the keyframe steps; cells of positions grow with it"
     )
     steps: StepSettings = computed_setting(
         StepSettings, "quantiser steps at quality 1; calibration starts there", option=False
     )
-    segment_s: float = setting(1.0, "longest state segment, in seconds")
+    segment_s: float = setting(1.0, "longest delta segment, in seconds")
     group_frames: int = setting(
         DEFAULT_GROUP_FRAMES,
         "most frames of a group, which share a keyframe; runs of frames are cut into groups of about equal length; it "
@@ -126,11 +126,11 @@ class EncodeSettings:
         "else coded frame by frame (auto); taken as they are (keep); or matched whether they look lost or not (match)",
         choices=ROWS,
     )
-    keys: str = setting(
+    keyframes: str = setting(
         KEPT,
-        "keys of groups: what differs from an earlier group, where that is smaller (kept), or every group is coded by "
+        "keyframes of groups: what differs from an earlier group, where that is smaller (kept), or every group is coded by "
         "itself (apart)",
-        choices=KEYS,
+        choices=KEYFRAMES,
     )
     margin: float | None = setting(
         None,
@@ -152,7 +152,7 @@ class EncodeSettings:
     )
     usage: str = setting(
         "importance",
-        "what ranks Gaussians for the key tiers: the largest blending weight alpha T (max), the sum of these weights "
+        "what ranks Gaussians for the keyframe tiers: the largest blending weight alpha T (max), the sum of these weights "
         "(sum), the number of pixels blended (hits, literally as in the paper), or max x sum x the error of leaving "
         "the Gaussian out (importance)",
         choices=MEASURES,
@@ -192,7 +192,7 @@ class EncodeSettings:
         qualities = [level.quality for level in self.levels]
         ladder = (self.levels, self.tiers)
         fault = fault_of(self.world.transform) if self.world else None
-        others = [*self.key_factors, *(level.factor for level in self.levels)]
+        others = [*self.keyframe_factors, *(level.factor for level in self.levels)]
         factors = [self.quality, *others, *(self.quality * factor for factor in others)]
         checks = [
             (1 <= len(self.levels) <= MAX_CHOICES, f"expected 1 to {MAX_CHOICES} levels"),
@@ -200,11 +200,11 @@ class EncodeSettings:
             (shares == sorted(shares), f"expected ascending pruned shares, got {shares}"),
             (
                 tiers[:1] == [len(self.tiers)] and tiers == sorted(tiers, reverse=True) and tiers[-1] > 0,
-                f"expected descending key tiers from {len(self.tiers)} on, got {tiers}",
+                f"expected descending keyframe tiers from {len(self.tiers)} on, got {tiers}",
             ),
             (
-                qualities == sorted(qualities) and all(0 <= q < len(self.key_factors) for q in qualities),
-                f"expected ascending key qualities below {len(self.key_factors)}, got {qualities}",
+                qualities == sorted(qualities) and all(0 <= q < len(self.keyframe_factors) for q in qualities),
+                f"expected ascending keyframe qualities below {len(self.keyframe_factors)}, got {qualities}",
             ),
             (
                 all(1e-6 <= factor <= 1e6 for factor in factors),
@@ -228,7 +228,7 @@ class EncodeSettings:
             (self.decide_pictures >= 1, f"expected 1 or more pictures to decide with, got {self.decide_pictures}"),
             (self.measure_pictures >= 0, f"expected 0 or more pictures to measure, got {self.measure_pictures}"),
             (self.rows in ROWS, f"expected rows {', '.join(ROWS)}, got {self.rows}"),
-            (self.keys in KEYS, f"expected keys {', '.join(KEYS)}, got {self.keys}"),
+            (self.keyframes in KEYFRAMES, f"expected keyframes {', '.join(KEYFRAMES)}, got {self.keyframes}"),
             (self.preset in PRESETS, f"expected an x264 preset, got {self.preset}"),
             (self.threads >= 1, f"expected at least one thread, got {self.threads}"),
         ]
@@ -238,8 +238,8 @@ class EncodeSettings:
 
     @property
     def coarser(self) -> tuple[int, ...]:
-        """For each key quality the power of 2 by which its cells of canonical means are wider than the finest."""
-        powers = [round(CELL_GROWTH * math.log2(factor / self.key_factors[0])) for factor in self.key_factors]
+        """For each keyframe quality the power of 2 by which its cells of canonical means are wider than the finest."""
+        powers = [round(CELL_GROWTH * math.log2(factor / self.keyframe_factors[0])) for factor in self.keyframe_factors]
         return tuple(min(power, GRID_BITS) for power in itertools.accumulate(powers, max))
 
     @property
@@ -268,7 +268,7 @@ class EncodeSettings:
         return float(np.interp(math.log(factor), np.log(factors), shares))
 
     def tiers_of(self, level: LevelSettings) -> int:
-        """Number of key tiers that viewers of a level fetch."""
+        """Number of keyframe tiers that viewers of a level fetch."""
         return level.tiers or len(self.tiers)
 
     @property
@@ -279,31 +279,31 @@ class EncodeSettings:
         """Settings as text, for the record in airgs.json."""
         return {
             "levels": ",".join(level.words for level in self.levels),
-            "key_factors": ",".join(f"{factor:g}" for factor in self.key_factors),
+            "keyframe_factors": ",".join(f"{factor:g}" for factor in self.keyframe_factors),
             "quality": f"{self.quality:g}",
             "rows": self.rows,
-            "keys": self.keys,
+            "keyframes": self.keyframes,
             "usage": self.usage,
             "rank": self.update_rank,
             "codec": "libx264",
             "preset": self.preset,
-            "key_qp": str(KEY_QP),
-            "state_qp": str(STATE_QP),
+            "keyframe_qp": str(KEYFRAME_QP),
+            "delta_qp": str(DELTA_QP),
         }
 
 
 def as_in_paper(settings: EncodeSettings) -> EncodeSettings:
-    """The paper's levels: updates ranked by usage frequency alone, 0 to 100 % of them pruned, equal steps, one key."""
+    """The paper's levels: updates ranked by usage frequency alone, 0 to 100 % of them pruned, equal steps, one keyframe."""
     return replace(
         settings,
         calibrate="none",
         levels=PAPER_LEVELS,
         tiers=(1.0,),
-        key_factors=(1.0,),
+        keyframe_factors=(1.0,),
         usage="hits",
         update_rank="hits",
         keep_all=True,
-        keys=APART,
+        keyframes=APART,
     )
 
 

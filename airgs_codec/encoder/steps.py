@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.analysis.importance import pooled_error
 from airgs_codec.analysis.sensitivity import CODING_VARIANCE
-from airgs_codec.coding.channels import key_channels, state_channels
+from airgs_codec.coding.channels import keyframe_channels, delta_channels
 from airgs_codec.coding.kernels import row_chunks
 from airgs_codec.coding.motion import (
     LEAVES,
@@ -35,8 +35,8 @@ from airgs_codec.encoder.survey import Frames, Survey
 from airgs_codec.encoder.views import Views
 from airgs_codec.errors import SceneError
 from airgs_codec.media.metrics import Picture
-from airgs_codec.package.layout import STATE
-from airgs_codec.package.tables import KEY_ATTRIBUTES, STATE_ATTRIBUTES
+from airgs_codec.package.layout import DELTA
+from airgs_codec.package.tables import KEYFRAME_ATTRIBUTES, DELTA_ATTRIBUTES
 from airgs_codec.render.compare import compare, draw_frames, draw_once
 from airgs_codec.scene.frames import turn_least
 from airgs_codec.scene.gaussians import Gaussians, mix_rows
@@ -51,16 +51,16 @@ TRIAL = 1.5  # factor between the two steps at which bytes and error are measure
 PRIOR = 0.02  # share of all bytes and error that every step has at least: a step without effect hardly moves
 # The attribute whose planes are coded anew when a step changes.
 STEPS = {
-    **{f"key.{name}": "colour" if name.startswith("sh_") else name for name in KEY_ATTRIBUTES},
+    **{f"keyframe.{name}": "colour" if name.startswith("sh_") else name for name in KEYFRAME_ATTRIBUTES},
     "grid": "means",
-    **{f"state.{name}": "colour" if name.startswith("sh_") else name for name in STATE_ATTRIBUTES},
+    **{f"delta.{name}": "colour" if name.startswith("sh_") else name for name in DELTA_ATTRIBUTES},
 }
 # m: bytes saved by a step e times as large; b: the error of a step f times as large is b f^2
 Slope = tuple[float, float]
-# Of each level: the factor on every step, its key quality. A rung costs what a package with only that rung would: all
-# steps grow alike, and with their square the price of a byte.
+# Of each level: the factor on every step, its keyframe quality. A rung costs what a package with only that rung would:
+# all steps grow alike, and with their square the price of a byte.
 LEVELS = ((1.0, 0), (1.8, 1), (3.2, 1), (5.8, 2))
-TIERS = (0.6, 0.25, 0.15)  # of the rows: each has its own key steps. More cost more positions than they save steps
+TIERS = (0.6, 0.25, 0.15)  # of the rows: each has its own keyframe steps. More cost more positions than they save steps
 FACTORS = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0)  # on the steps, for which a share is chosen
 SHARES = (0.0, 0.2, 0.4, 0.6, 0.75, 0.87)  # of the updates that a level withholds, tried
 
@@ -88,7 +88,7 @@ class Subject:
         index = index[layout.wider[index] == 0]  # what is far from all else tells nothing of it
         sample = CalibrationSample(
             index=index,
-            key=layout.key.take(index),
+            keyframe=layout.keyframe.take(index),
             frames=[frame.take(layout.rows[index]) for frame in self.frames[:segment]],
             classes=layout.classes[index],
             sensitivity=layout.sensitivity.take(index),
@@ -98,18 +98,18 @@ class Subject:
             group_frames=len(self.frames),
             segment_frames=segment,
         )
-        states = sample.states(sample.code_key(settings.steps, 1.0)[1], settings.steps)
-        near = np.abs(states).max(axis=(0, 1)) <= LEAVES  # nor does what goes there
-        sample, states = sample.take(near), states[:, :, near]
+        deltas = sample.deltas(sample.code_keyframe(settings.steps, 1.0)[1], settings.steps)
+        near = np.abs(deltas).max(axis=(0, 1)) <= LEAVES  # nor does what goes there
+        sample, deltas = sample.take(near), deltas[:, :, near]
         weights = channel_weights(
-            sample.classes, sample.sensitivity.by_attribute(), layout.state_steps, layout.transform
+            sample.classes, sample.sensitivity.by_attribute(), layout.delta_steps, layout.transform
         )
-        moving = np.abs(states[1:] - states[0]).max(axis=(0, 1)) > 0.5
+        moving = np.abs(deltas[1:] - deltas[0]).max(axis=(0, 1)) > 0.5
         if not settings.keep_all:  # steps are solved for rows of which coding repairs more error than it adds
-            variance = np.square(states[1:]).mean(axis=0, keepdims=True)
+            variance = np.square(deltas[1:]).mean(axis=0, keepdims=True)
             added = np.minimum(variance + LEAK * np.maximum(CODING_VARIANCE - variance, 0), CODING_VARIANCE)
-            moving &= withheld_error(states[1:], weights) > withheld_error(np.sqrt(added), weights)
-        return replace(sample, moving=moving).with_line(states, settings.steps)
+            moving &= withheld_error(deltas[1:], weights) > withheld_error(np.sqrt(added), weights)
+        return replace(sample, moving=moving).with_line(deltas, settings.steps)
 
 
 def solve_steps(sample: CalibrationSample, subject: Subject) -> tuple[StepSettings, float, float]:
@@ -146,7 +146,7 @@ def guess_price(sample: CalibrationSample, subject: Subject) -> float:
     Error grows with the square of the steps, bytes fall with their logarithm at about SLOPE of what they are.
     """
     cost = sample.cost(subject.settings.steps)
-    return 2 * (cost.key_error + cost.state_error + subject.layout.removal_error) / (SLOPE * cost.bytes)
+    return 2 * (cost.keyframe_error + cost.delta_error + subject.layout.removal_error) / (SLOPE * cost.bytes)
 
 
 def measure_slopes(sample: CalibrationSample, subject: Subject) -> dict[str, Slope]:
@@ -157,7 +157,7 @@ def measure_slopes(sample: CalibrationSample, subject: Subject) -> dict[str, Slo
 
 def measure_step_slopes(sample: CalibrationSample, steps: StepSettings, threads: int) -> dict[str, Slope]:
     """Slopes of every step of quantisers, from trial encodes a factor TRIAL finer and coarser."""
-    names = [n for n in STEPS if sample.key.sh_rest.shape[1] or not n.endswith("sh_rest")]
+    names = [n for n in STEPS if sample.keyframe.sh_rest.shape[1] or not n.endswith("sh_rest")]
 
     def trial(name: str, factor: float) -> Cost:
         return sample.cost(with_step(steps, name, get_step(steps, name) * factor), (STEPS[name],))
@@ -167,7 +167,7 @@ def measure_step_slopes(sample: CalibrationSample, steps: StepSettings, threads:
         coarser = list(pool.map(trial, names, itertools.repeat(TRIAL)))
     slopes: dict[str, Slope] = {}
     for name, was, now in zip(names, finer, coarser, strict=True):
-        grows = now.state_error - was.state_error + now.key_error - was.key_error
+        grows = now.delta_error - was.delta_error + now.keyframe_error - was.keyframe_error
         slopes[name] = (was.bytes - now.bytes) / np.log(TRIAL**2), grows / (TRIAL**2 - TRIAL**-2)
     return slopes
 
@@ -184,7 +184,8 @@ def _row_slope(sample: CalibrationSample, subject: Subject) -> Slope:
 def choose_levels(
     sample: CalibrationSample, subject: Subject, steps: StepSettings, price: float
 ) -> tuple[LevelSettings, ...]:
-    """The levels of LEVELS, which withhold nothing yet, each with as many key tiers as are worth their bytes to it.
+    """The levels of LEVELS, which withhold nothing yet, each with as many keyframe tiers as are worth their bytes to
+    it.
 
     What pictures miss without the others is rendered. `price` is that of a byte a frame at factor 1.
     """
@@ -197,15 +198,15 @@ def choose_levels(
     levels: list[LevelSettings] = []
     for factor, quality in LEVELS:
         if levels and missing:
-            sizes = [part.code_key(steps, factor)[0] for part in parts[:most]]
+            sizes = [part.code_keyframe(steps, factor)[0] for part in parts[:most]]
             costs = [error + factor**2 * price * size for error, size in zip(missing, sizes, strict=False)]
             most = 1 + int(np.argmin(costs))
         levels.append(LevelSettings(0.0, factor, most, quality))
     return tuple(levels)
 
 
-def key_factors() -> tuple[float, ...]:
-    """Factors on the key steps: of each key quality the geometric mean of its levels' factors, to four digits."""
+def keyframe_factors() -> tuple[float, ...]:
+    """Factors on the keyframe steps: of each keyframe quality the geometric mean of its levels' factors, to four digits."""
     qualities = sorted({quality for _, quality in LEVELS})
     means = [np.exp(np.mean([np.log(f) for f, q in LEVELS if q == quality])) for quality in qualities]
     return tuple(float(f"{mean:.4g}") for mean in means)
@@ -221,7 +222,7 @@ class Withholding:
     @staticmethod
     def of(subject: Subject) -> Withholding:
         """Rank the updates of all rows and render without the lowest ones."""
-        canonical, rows, pictures = subject.layout.key, subject.layout.rows, subject.layout.pictures
+        canonical, rows, pictures = subject.layout.keyframe, subject.layout.rows, subject.layout.pictures
         frames = [subject.frames[t].take(rows) for t, _ in pictures]
         score, moving = _rank(subject, [canonical, *frames])
         depths = assign_depths(score, moving, SHARES)
@@ -256,15 +257,15 @@ def choose_shares(
     """
     if not sample.moving.any():
         return ()
-    states = sample.states(sample.code_key(steps, 1.0)[1], steps)
-    still = sample.error(states[0][None], steps)
+    deltas = sample.deltas(sample.code_keyframe(steps, 1.0)[1], steps)
+    still = sample.error(deltas[0][None], steps)
     sent = [withholding.sent(sample, share) for share in SHARES]
     with ThreadPoolExecutor(threads) as pool:
-        coded = dict(zip(factors, pool.map(lambda factor: sample.code_states(states, factor), factors), strict=True))
+        coded = dict(zip(factors, pool.map(lambda factor: sample.code_deltas(deltas, factor), factors), strict=True))
         whole = coded[1.0][0]
         if whole == 0:  # no channel has a plane
             return ()
-        parts = list(pool.map(lambda rows: replace(sample, moving=rows).code_states(states, 1.0)[0] / whole, sent))
+        parts = list(pool.map(lambda rows: replace(sample, moving=rows).code_deltas(deltas, 1.0)[0] / whole, sent))
     shares, least = [], 0.0
     for factor, (size, error) in sorted(coded.items()):
         shown = [float(np.where(rows, sample.error(error, steps), still * factor**2).sum()) for rows in sent]
@@ -280,13 +281,15 @@ def choose_shares(
 def _rank(subject: Subject, frames: Sequence[Gaussians]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """`rank_updates` of all N Gaussians; `frames` are the canonical one and those that are ranked."""
     layout, rank = subject.layout, subject.settings.update_rank
-    channels = key_channels(frames[0], layout.transform, layout.key_steps, layout.grid.unit).astype(np.float32)
+    channels = keyframe_channels(frames[0], layout.transform, layout.keyframe_steps, layout.grid.unit).astype(
+        np.float32
+    )
     base = layout.canonical_space(channels, np.zeros(len(layout.codes), np.uint8))
-    steps = STATE.steps(layout.state_steps, layout.colours)[:, None]
+    steps = DELTA.steps(layout.delta_steps, layout.colours)[:, None]
     score, moving = np.empty(len(layout.rows)), np.empty(len(layout.rows), bool)
     for rows in row_chunks(len(layout.rows), len(frames) * len(steps)):
-        states = state_channels([frame.take(rows) for frame in frames], base.part(rows), layout.state_steps) / steps
-        score[rows], moving[rows] = rank_updates(layout, rows, states[1:] - states[0], rank)
+        deltas = delta_channels([frame.take(rows) for frame in frames], base.part(rows), layout.delta_steps) / steps
+        score[rows], moving[rows] = rank_updates(layout, rows, deltas[1:] - deltas[0], rank)
     return score, moving
 
 
@@ -320,6 +323,6 @@ def find_steps(frames: Frames, survey: Survey, views: Views, settings: EncodeSet
     if ladder:
         shares = choose_shares(sample, withholding, steps, price, FACTORS, settings.threads)
         levels = choose_levels(top, subject, steps, price) if shares else (LevelSettings(0.0),)
-        factors = key_factors() if shares else (1.0,)
-        chosen = replace(chosen, levels=levels, tiers=TIERS, key_factors=factors, shares=shares)
+        factors = keyframe_factors() if shares else (1.0,)
+        chosen = replace(chosen, levels=levels, tiers=TIERS, keyframe_factors=factors, shares=shares)
     return Found(chosen.at(settings.quality), sample.lined, saved)

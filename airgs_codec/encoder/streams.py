@@ -69,7 +69,7 @@ class AtlasPictures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Representation:
-    """The coded pictures of a key tier in a key quality, or of a level, of one group."""
+    """The coded pictures of a keyframe tier in a keyframe quality, or of a level, of one group."""
 
     gops: tuple[CodedGop, ...]  # none: there is nothing to show
     size: tuple[int, int]  # width and height of its pictures, samples

@@ -8,28 +8,28 @@ from dataclasses import dataclass, replace
 
 from airgs_codec import __version__
 from airgs_codec.coding.channels import pack_matrix
-from airgs_codec.coding.sidecar import pack_key_sidecar
+from airgs_codec.coding.sidecar import pack_keyframe_sidecar
 from airgs_codec.encoder.deltas import CodedDeltas
-from airgs_codec.encoder.keyframes import CodedKeys, key_sidecar
+from airgs_codec.encoder.keyframes import CodedKeyframes, keyframe_sidecar
 from airgs_codec.encoder.layout import GroupLayout
 from airgs_codec.encoder.plan import Plan
 from airgs_codec.encoder.streams import Clock, ErrorModel, Representation, with_bounds
 from airgs_codec.encoder.views import CHECKED
-from airgs_codec.media.h264 import KEY_QP, STATE_QP, library_versions, qp_step
+from airgs_codec.media.h264 import KEYFRAME_QP, DELTA_QP, library_versions, qp_step
 from airgs_codec.media.movie import SoundTrack
 from airgs_codec.media.mp4 import init_segment, sound_segment
 from airgs_codec.package import tables
 from airgs_codec.package.layout import (
     INIT_NAME,
-    KEY,
+    KEYFRAME,
     POSTER_NAME,
     SOUND_INIT_NAME,
-    STATE,
+    DELTA,
     Layout,
-    key_media_path,
-    key_sidecar_path,
+    keyframe_media_path,
+    keyframe_sidecar_path,
     sound_path,
-    state_media_path,
+    delta_media_path,
 )
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.mpd import largest_picture
@@ -52,10 +52,10 @@ class CodedGroup:
     """All that the files and the table of a group are made of."""
 
     layout: GroupLayout
-    keys: CodedKeys
-    states: CodedDeltas
-    key_pictures: Sequence[Sequence[Representation]]  # key tier x key quality
-    state_pictures: Sequence[Representation]  # of each level
+    keyframes: CodedKeyframes
+    deltas: CodedDeltas
+    keyframe_pictures: Sequence[Sequence[Representation]]  # keyframe tier x keyframe quality
+    delta_pictures: Sequence[Representation]  # of each level
     first_segment: int  # how many segments the groups before it have
 
     @property
@@ -69,32 +69,32 @@ Files = Mapping[str, FileEntry]  # by path
 
 def finish_group(group: CodedGroup) -> tuple[Group, dict[str, bytes]]:
     """The table of a group, without measured quality, and the bytes of its pictures and sidecars by their paths."""
-    contents = dict(itertools.chain(_key_files(group), _state_files(group)))
+    contents = dict(itertools.chain(_keyframe_files(group), _delta_files(group)))
     return _group_table(group, {path: file_entry(data) for path, data in contents.items()}), contents
 
 
-def _key_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
-    """Path and bytes of the files of every key tier that has rows."""
-    layout, keys = group.layout, group.keys
-    for t, pictures in enumerate(group.key_pictures):
+def _keyframe_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
+    """Path and bytes of the files of every keyframe tier that has rows."""
+    layout, keyframes = group.layout, group.keyframes
+    for t, pictures in enumerate(group.keyframe_pictures):
         rows = layout.tier_rows(t)
         if rows.start == rows.stop:
             continue
-        sidecar = key_sidecar(layout, t, group.states.depths)
-        yield key_sidecar_path(t, group.number), pack_key_sidecar(sidecar, layout.grid, keys.coarser[-1])
-        for q, (atlas, representation) in enumerate(zip(keys.tiers[t], pictures, strict=True)):
+        sidecar = keyframe_sidecar(layout, t, group.deltas.depths)
+        yield keyframe_sidecar_path(t, group.number), pack_keyframe_sidecar(sidecar, layout.grid, keyframes.coarser[-1])
+        for q, (atlas, representation) in enumerate(zip(keyframes.tiers[t], pictures, strict=True)):
             if not atlas.atlas.rows:
                 continue
-            yield key_media_path(t, q, group.number), representation.gops[0].media(atlas.detail)
+            yield keyframe_media_path(t, q, group.number), representation.gops[0].media(atlas.detail)
 
 
-def _state_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
+def _delta_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
     """Path and bytes of every segment that is fetched."""
-    for j, (level, representation) in enumerate(zip(group.states.levels, group.state_pictures, strict=True)):
+    for j, (level, representation) in enumerate(zip(group.deltas.levels, group.delta_pictures, strict=True)):
         gops = iter(representation.gops)
         for place, escapes in enumerate(level.escapes, group.first_segment):
             if escapes is not None:
-                yield state_media_path(j, place + 1), next(gops).media(escapes)
+                yield delta_media_path(j, place + 1), next(gops).media(escapes)
 
 
 def build_manifest(
@@ -116,16 +116,16 @@ def build_manifest(
         frames=groups[-1].stop - groups[0].start,
         live=False,
         sh_degree=plan.sh_degree,
-        key_gain=qp_step(KEY_QP),
-        state_gain=qp_step(STATE_QP),
+        keyframe_gain=qp_step(KEYFRAME_QP),
+        delta_gain=qp_step(DELTA_QP),
         region=views.region,
         world=views.world,
         origin=None if sequence.origin == ZERO else list(sequence.origin),
         poster=file_entry(poster),
         views=tables.Views(views.decided + CHECKED, 0, "original" if settings.measure_pictures else "none"),
         qualities=[
-            tables.KeyQuality(f"Q{q}", factor, coarser)
-            for q, (factor, coarser) in enumerate(zip(settings.key_factors, settings.coarser, strict=True))
+            tables.KeyframeQuality(f"Q{q}", factor, coarser)
+            for q, (factor, coarser) in enumerate(zip(settings.keyframe_factors, settings.coarser, strict=True))
         ],
         levels=[
             tables.Level(f"L{j}", level.pruned, level.factor, settings.tiers_of(level), level.quality)
@@ -155,33 +155,33 @@ def add_sound(m: Manifest, track: SoundTrack) -> tuple[Manifest, dict[str, bytes
 
 
 def _group_table(group: CodedGroup, files: Files) -> Group:
-    layout, states = group.layout, group.states
-    levels = zip(states.levels, group.state_pictures, strict=True)
+    layout, deltas = group.layout, group.deltas
+    levels = zip(deltas.levels, group.delta_pictures, strict=True)
     return Group(
         start=layout.span[0],
         stop=layout.span[1],
         count=len(layout.rows),
-        static=int((states.depths == STATIC).sum()),
+        static=int((deltas.depths == STATIC).sum()),
         unused=layout.count - len(layout.rows),
         grid=layout.grid,
-        key_steps=layout.key_steps,
-        state_steps=layout.state_steps,
+        keyframe_steps=layout.keyframe_steps,
+        delta_steps=layout.delta_steps,
         colour_transform=pack_matrix(layout.transform),
         tiers=[_tier_table(group, files, t) for t in range(len(layout.factors))],
-        levels=[_bounded(level.atlas, level.error if of.gops else None, of, STATE) for level, of in levels],
+        levels=[_bounded(level.atlas, level.error if of.gops else None, of, DELTA) for level, of in levels],
         segments=_segment_tables(group, files),
-        left_out=[*group.keys.left_out, *states.left_out],
-        repairs=[*layout.notes, *states.notes],
+        left_out=[*group.keyframes.left_out, *deltas.left_out],
+        repairs=[*layout.notes, *deltas.notes],
         keeps=layout.keeps,
     )
 
 
 def _tier_table(group: CodedGroup, files: Files, t: int) -> GroupTier:
-    parts, pictures, layout = group.keys.tiers[t], group.key_pictures[t], group.layout
-    channels, rows = KEY if layout.keeps is None else STATE, layout.tier_rows(t)
+    parts, pictures, layout = group.keyframes.tiers[t], group.keyframe_pictures[t], group.layout
+    channels, rows = KEYFRAME if layout.keeps is None else DELTA, layout.tier_rows(t)
     atlases = [_bounded(part.atlas, part.error, shown, channels) for part, shown in zip(parts, pictures, strict=True)]
-    media = [files.get(key_media_path(t, q, group.number), NO_FILE) for q in range(len(parts))]
-    sidecar = files.get(key_sidecar_path(t, group.number), NO_FILE)
+    media = [files.get(keyframe_media_path(t, q, group.number), NO_FILE) for q in range(len(parts))]
+    sidecar = files.get(keyframe_sidecar_path(t, group.number), NO_FILE)
     return GroupTier(rows.stop - rows.start, layout.factors[t], sidecar, atlases, media)
 
 
@@ -194,12 +194,12 @@ def _bounded(
 
 
 def _segment_tables(group: CodedGroup, files: Files) -> list[Segment]:
-    gops = [iter(representation.gops) for representation in group.state_pictures]
+    gops = [iter(representation.gops) for representation in group.delta_pictures]
 
     def level(j: int, number: int) -> SegmentLevel:
-        file = files.get(state_media_path(j, number), NO_FILE)
+        file = files.get(delta_media_path(j, number), NO_FILE)
         sizes = next(gops[j]).picture_bytes if file.bytes else []
-        line = group.states.levels[j].lines[number - 1 - group.first_segment]
+        line = group.deltas.levels[j].lines[number - 1 - group.first_segment]
         return SegmentLevel(file, sizes, [], [], True if line else None)
 
     return [

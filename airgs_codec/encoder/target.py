@@ -200,7 +200,7 @@ def search_quality(
 
 
 def top_rung(settings: EncodeSettings) -> EncodeSettings:
-    return replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
+    return replace(settings, levels=settings.levels[:1], keyframe_factors=settings.keyframe_factors[:1])
 
 
 def weigh_colours(
@@ -219,11 +219,11 @@ def weigh_colours(
     sizes = np.sqrt(np.maximum(values, LEAST_SEEN * values[-1]))
     sizes /= sizes.prod() ** (1 / 3)
     wide = max(1.0, 1 / float(sizes.min()))
-    key, state = settings.steps.key, settings.steps.state
+    keyframe, delta = settings.steps.keyframe, settings.steps.delta
     steps = replace(
         settings.steps,
-        key=replace(key, sh_dc=wide * key.sh_dc, sh_rest=wide * key.sh_rest),
-        state=replace(state, sh_dc=wide * state.sh_dc, sh_rest=wide * state.sh_rest),
+        keyframe=replace(keyframe, sh_dc=wide * keyframe.sh_dc, sh_rest=wide * keyframe.sh_rest),
+        delta=replace(delta, sh_dc=wide * delta.sh_dc, sh_rest=wide * delta.sh_rest),
         colours=tuple((wide * (axes * sizes) @ axes.T).ravel().tolist()),
     )
     return replace(settings, steps=steps)

@@ -63,11 +63,11 @@ class Side:
     """A scene, or a package in one rung, whose frames are read when they are asked for."""
 
     name: str  # where it is
-    rung: str | None  # key quality and level, as Q0+L0; None for a scene
+    rung: str | None  # keyframe quality and level, as Q0+L0; None for a scene
     frames: int
     fps: Fraction | None  # frames a second; None where nothing states them
     sh_degree: int
-    bytes_per_frame: float  # of a package what a viewer of the rung fetches: keys, states and all tables
+    bytes_per_frame: float  # of a package what a viewer of the rung fetches: keyframes, deltas and all tables
     origin: Origin  # in the world, that cameras, region and frames are from
     background: Background  # what is seen behind it
     read: Callable[[range], Iterator[Gaussians]]  # frames, repaired; raises SceneError or FormatError
@@ -119,8 +119,8 @@ def open_side(
         scene = open_package(scene) if is_package(scene) else open_sequence(scene, bake_fps=bake_fps, duration=duration)
     if isinstance(scene, Package):
         package, m = scene, scene.manifest
-        key_quality, _, level = (rung or "Q0+L0").partition("+")
-        q, j = m.quality_index(key_quality), m.level_index(level)
+        keyframe_quality, _, level = (rung or "Q0+L0").partition("+")
+        q, j = m.quality_index(keyframe_quality), m.level_index(level)
         return Side(
             name=name,
             rung=f"{m.qualities[q].id}+{m.levels[j].id}",
@@ -164,21 +164,21 @@ def frames_of(sequence: GaussianSequence, numbers: Iterable[int]) -> Iterator[Ga
 
 
 def rung_streams(
-    package: Package, frames: range, level: str | None = None, key_quality: str | None = None
+    package: Package, frames: range, level: str | None = None, keyframe_quality: str | None = None
 ) -> dict[str, Iterator[Gaussians]]:
-    """Return these frames of every rung of a package, or of those of one level or key quality, decoded one by one.
+    """Return these frames of every rung of a package, or of those of one level or keyframe quality, decoded one by one.
 
-    Raises ConfigError for a level or key quality that the package does not have.
+    Raises ConfigError for a level or keyframe quality that the package does not have.
     """
     m = package.manifest
     levels = m.levels if level is None else [m.levels[m.level_index(level)]]
-    qualities = m.qualities if key_quality is None else [m.qualities[m.quality_index(key_quality)]]
+    qualities = m.qualities if keyframe_quality is None else [m.qualities[m.quality_index(keyframe_quality)]]
     return {f"{q.id}+{v.id}": rung_frames(package, frames, v.id, q.id) for q in qualities for v in levels}
 
 
-def rung_frames(package: Package, frames: range, level: str, key_quality: str) -> Iterator[Gaussians]:
+def rung_frames(package: Package, frames: range, level: str, keyframe_quality: str) -> Iterator[Gaussians]:
     """Yield these frames of one rung, at least one, each when it is asked for; `decode_frames` says what is raised."""
-    for frame in decode_frames(package, frames[0], frames[-1] + 1, level=level, key_quality=key_quality):
+    for frame in decode_frames(package, frames[0], frames[-1] + 1, level=level, keyframe_quality=keyframe_quality):
         if frame.number in frames:
             yield frame.gaussians
 
@@ -358,7 +358,7 @@ def compare(
 ) -> Comparison:
     """Return how near a scene or package is to another, each open or at a path, as `airgs-manifest compare` does.
 
-    `rung`: key quality and level of a package, such as Q1+L2 (default: Q0+L0); of the compared one where both are.
+    `rung`: keyframe quality and level of a package, such as Q1+L2 (default: Q0+L0); of the compared one where both are.
     `frames` are by default all that both have; `cameras` those that `shared_views` finds, from the
     origin of the reference. `progress`: a function, or a class of bars such as tqdm.auto.tqdm. Raises ConfigError for a
     rung or frames that are not there and for frame rates that differ, and what reading either raises.

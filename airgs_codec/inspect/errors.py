@@ -1,7 +1,7 @@
 """The errors of a package against the sequence it was made of, attribute by attribute, beside what it promises.
 
 The order of rows in a package is not stored. Each of its rows is matched with an original by all attributes but SH
-rest, in three frames of the group where it has states, else in the mean of all frames: with the one that is nearest in
+rest, in three frames of the group where it has deltas, else in the mean of all frames: with the one that is nearest in
 steps of those that keep what is promised, or the nearest where none does. N rows of a group.
 """
 
@@ -18,10 +18,16 @@ from scipy.spatial import cKDTree
 from airgs_codec._arguments import argument
 from airgs_codec.analysis.rows import AUTO, restore_rows
 from airgs_codec.coding.atlas import scale_codes
-from airgs_codec.coding.channels import LEAST_DRAWN, Canonical, frame_channels, key_channels, state_channels
-from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_pictures, decode_segment, key_units
+from airgs_codec.coding.channels import LEAST_DRAWN, Canonical, frame_channels, keyframe_channels, delta_channels
+from airgs_codec.decoder.decode import (
+    decode_canonical,
+    decode_keyframe,
+    decode_pictures,
+    decode_segment,
+    keyframe_units,
+)
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.layout import STATE, Layout, key_layout
+from airgs_codec.package.layout import DELTA, Layout, keyframe_layout
 from airgs_codec.package.package import OPENED, Package, open_package
 from airgs_codec.package.tables import STATIC, Group
 from airgs_codec.scene.frames import turn_least
@@ -73,7 +79,8 @@ def input_rows(
 
 
 def measure_errors(package: Package, sequence: GaussianSequence) -> Iterator[Measured]:
-    """Yield the errors of every key atlas and every level of every group. Raises ConfigError, FormatError, SceneError.
+    """Yield the errors of every keyframe atlas and every level of every group. Raises ConfigError, FormatError,
+    SceneError.
 
     Rows of the sequence that lost their order are matched again as the encoder did.
     """
@@ -83,8 +90,8 @@ def measure_errors(package: Package, sequence: GaussianSequence) -> Iterator[Mea
         base = decode_canonical(package, index, 0)
         rows, sure = _match(package, index, group, base, frames)
         originals = [g.take(rows) for g in frames]
-        yield from _keys(package, index, group, base, mean_frame(frames).take(rows), sure)
-        yield from _states(package, index, base, originals, sure)
+        yield from _keyframes(package, index, group, base, mean_frame(frames).take(rows), sure)
+        yield from _deltas(package, index, base, originals, sure)
 
 
 def _in_order(package: Package, sequence: GaussianSequence) -> GaussianSequence:
@@ -125,7 +132,7 @@ def _match(
     for number in (group.start + pick for pick in picks):
         segment = m.segment_at(number)
         decoded += decode_segment(package, segment, base, 0, [number - m.segments[segment].start])
-    scale = float(np.median(base.motion_units)) * group.state_steps.means
+    scale = float(np.median(base.motion_units)) * group.delta_steps.means
     promised, still = _promised(group, base), base.depths == STATIC
     features = _features([frames[pick] for pick in picks], group, scale)
     rows = np.empty(len(still), np.intp)
@@ -149,29 +156,29 @@ def _nearest(
 
 
 def _promised(group: Group, base: Canonical) -> NDArray[np.float64]:
-    """Return what each feature may err by, (N, 19): of rows with states in the top level, of others in their key.
+    """Return what each feature may err by, (N, 19): of rows with deltas in the top level, of others in their keyframe.
 
-    Colours have it from all C channels; a key that is no difference promises nothing of means.
+    Colours have it from all C channels; a keyframe that is no difference promises nothing of means.
     """
-    steps, still = group.state_steps, base.depths == STATIC
+    steps, still = group.delta_steps, base.depths == STATIC
     rows, first = [], 0
     level = group.levels[0].max_error
     for tier in group.tiers:
         part = slice(first, first := first + tier.count)
-        key = tier.qualities[0].max_error
-        key = [np.inf] * (len(level) - len(key)) + key
-        rows.append(np.where(still[part, None], key, level))
-    units = [*(getattr(steps, run.attribute) for run in STATE.runs), 1.0]
+        keyframe = tier.qualities[0].max_error
+        keyframe = [np.inf] * (len(level) - len(keyframe)) + keyframe
+        rows.append(np.where(still[part, None], keyframe, level))
+    units = [*(getattr(steps, run.attribute) for run in DELTA.runs), 1.0]
     promised = np.repeat(np.concatenate(rows) / units, FEATURES, axis=1)
     promised[:, :3] *= (base.motion_units / np.median(base.motion_units))[:, None]
     promised[:, -3:] *= np.abs(base.transform)[:, :3].sum(axis=0)
-    promised[still, -3:] *= group.key_steps.sh_dc / steps.sh_dc
+    promised[still, -3:] *= group.keyframe_steps.sh_dc / steps.sh_dc
     return promised
 
 
 def _features(frames: list[Gaussians], group: Group, scale: float) -> NDArray[np.float64]:
     """Return (N, 19 F) in steps; rotations as matrices: no half turns, they differ by sqrt(2) times small angles."""
-    steps = group.state_steps
+    steps = group.delta_steps
     each = []
     for g in frames:
         means, opacity = g.means.astype(np.float64) / scale, g.opacities()[:, None] / steps.opacity
@@ -180,14 +187,14 @@ def _features(frames: list[Gaussians], group: Group, scale: float) -> NDArray[np
     return np.hstack(each)
 
 
-def _keys(
+def _keyframes(
     package: Package, index: int, group: Group, base: Canonical, original: Gaussians, sure: NDArray[np.bool_]
 ) -> Iterator[Measured]:
     m = package.manifest
-    layout, keeps, known = key_layout(group), m.base_of(index), sure
+    layout, keeps, known = keyframe_layout(group), m.base_of(index), sure
     for q, quality in enumerate(m.qualities):
         if keeps is None:
-            values = key_channels(original, base.transform, group.key_steps, group.grid.unit)
+            values = keyframe_channels(original, base.transform, group.keyframe_steps, group.grid.unit)
         else:
             kept = decode_canonical(package, keeps, q)
             values, drawn = frame_channels(original, kept, group.difference_steps)
@@ -196,42 +203,42 @@ def _keys(
         for t, tier in enumerate(group.tiers):
             part = slice(first, first := first + tier.count)
             if tier.count:
-                coded = scale_codes(decode_key(package, index, t, q)[0], key_units(package, index, t, q))
+                coded = scale_codes(decode_keyframe(package, index, t, q)[0], keyframe_units(package, index, t, q))
                 errors = np.abs(values[:, part] - (coded if coded.size else 0))
-                where = f"group {index} key T{t} {quality.id}"
+                where = f"group {index} keyframe T{t} {quality.id}"
                 yield from _measured(where, layout, tier.qualities[q].max_error, errors, known[part])
 
 
-def _states(
+def _deltas(
     package: Package, index: int, base: Canonical, originals: list[Gaussians], sure: NDArray[np.bool_]
 ) -> Iterator[Measured]:
     m, quality = package.manifest, 0
     group = m.groups[index]
-    values = state_channels(originals, base, group.state_steps)
-    steps = STATE.steps(group.state_steps, m.colour_channels)
+    values = delta_channels(originals, base, group.delta_steps)
+    steps = DELTA.steps(group.delta_steps, m.colour_channels)
     for j, level in enumerate(m.levels):
-        if level.quality != quality:  # states are differences to the key quality of their level
+        if level.quality != quality:  # deltas are differences to the keyframe quality of their level
             quality = level.quality
             base = decode_canonical(package, index, quality)
-            values = state_channels(originals, base, group.state_steps)
+            values = delta_channels(originals, base, group.delta_steps)
         rows = np.flatnonzero((base.depths >= j) & (base.depths != STATIC))
         worst = np.zeros((len(steps), len(rows)))
-        sent = [s for s in m.segments_of(index) if m.state_files(s, j)]
+        sent = [s for s in m.segments_of(index) if m.delta_files(s, j)]
         for s in sent:
             segment = m.segments[s]
-            for t, state in enumerate(decode_pictures(package, s, j, range(segment.stop - segment.start))):
-                decoded = state.values(slice(None))
+            for t, delta in enumerate(decode_pictures(package, s, j, range(segment.stop - segment.start))):
+                decoded = delta.values(slice(None))
                 shown = [_shown(v, base, rows) for v in (values[segment.start - group.start + t][:, rows], decoded)]
                 worst = np.maximum(worst, np.abs(shown[0] - shown[1]))
         if sent:
-            where = f"group {index} state {level.id}"
-            yield from _measured(where, STATE, group.levels[j].max_error, worst, sure[rows])
+            where = f"group {index} delta {level.id}"
+            yield from _measured(where, DELTA, group.levels[j].max_error, worst, sure[rows])
 
 
 def _shown(channels: NDArray[np.floating], base: Canonical, rows: NDArray[np.intp]) -> NDArray[np.floating]:
-    """Return (10 + C, n) state channels of some rows with the change of alpha that is shown: no alpha is below 0."""
+    """Return (10 + C, n) delta channels of some rows with the change of alpha that is shown: no alpha is below 0."""
     out = channels.copy()
-    out[STATE.slice("opacity")] = np.maximum(out[STATE.slice("opacity")], -base.opacity[rows])
+    out[DELTA.slice("opacity")] = np.maximum(out[DELTA.slice("opacity")], -base.opacity[rows])
     return out
 
 

@@ -46,7 +46,7 @@ def write_report(
         f"{words.removesuffix(f' of {a.name}')}.",
         "wrong": f"Frame {worst.frame} is the worst with {worst.psnr:.1f} dB in one picture{far}. Most bytes, "
         f"{100 * sizes[largest] / sum(sizes.values()):.0f} %, are {largest}.",
-        "useless": beaten_words({f"{r['key']}+{r['state']}": r["best"] for r in s["rungs"] if m.measured})
+        "useless": beaten_words({f"{r['keyframe']}+{r['delta']}": r["best"] for r in s["rungs"] if m.measured})
         or "Nothing.",
         "change": advice(done) or "Nothing.",
     }

@@ -1,6 +1,6 @@
-"""Figures of a package: its groups, key tiers, levels and rungs, with bytes and quality; as tables and as a chart.
+"""Figures of a package: its groups, keyframe tiers, levels and rungs, with bytes and quality; as tables and as a chart.
 
-A rung is a key quality together with a level. Lengths are in bytes, rates in bit/s. F frames of the sequence.
+A rung is a keyframe quality together with a level. Lengths are in bytes, rates in bit/s. F frames of the sequence.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from airgs_codec._report import BLUE, GREY, Form, Picture, Table
 from airgs_codec.media.metrics import psnr
 from airgs_codec.media.movie import LAYOUTS
-from airgs_codec.package.layout import KEY, STATE, Layout
+from airgs_codec.package.layout import KEYFRAME, DELTA, Layout
 from airgs_codec.package.manifest import Manifest, quality_of, rungs_of
 from airgs_codec.package.region import RegionSummary, world_words
 from airgs_codec.package.tables import Atlas, LeftOut, RungQuality
@@ -51,7 +51,7 @@ GROUPS: Columns = {
     "group": ("group", ""), "frames": ("frames", ""), "gaussians": ("Gaussians", "d"), "keeps": ("keeps", ""),
     "static": ("static", "d"), "segments": ("segments", ""),
 }  # fmt: skip
-KEYS: Columns = {"tier": ("key tier", ""), "quality": ("quality", "")} | GAUSSIANS | STEPS | BYTES
+KEYFRAMES: Columns = {"tier": ("keyframe tier", ""), "quality": ("quality", "")} | GAUSSIANS | STEPS | BYTES
 PRUNED: Columns = {"pruned": ("pruned", lambda share: f"{100 * share:g} %")}
 PEAK: Columns = {"peak_bps": ("peak", RATE["mean_bps"][1])}
 LEVELS: Columns = {"id": ("level", "")} | GAUSSIANS | PRUNED | STEPS | BYTES | RATE | PEAK
@@ -62,10 +62,11 @@ def summarise(m: Manifest, manifest_bytes: int) -> Row:
     """Return the figures of a package whose tables and manifest.mpd have `manifest_bytes` together, as plain values.
 
     Of a group: `frames` [start, stop), `gaussians` that are written, `static` ones of them that no level carries,
-    `unused` ones that no view uses and are not written, and `keeps`, the earlier group, from 1, that its key is a
-    difference to. Of a key tier in one quality and of a level: `gaussians`, the fewest and most of a group, `factor` of
-    the quantiser steps, `pruned`, the share of moving rows. Of a rung, key quality by key quality: everything that its
-    viewer fetches; quality over all pictures, None where it was not measured; whether players choose it (`on_ladder`).
+    `unused` ones that no view uses and are not written, and `keeps`, the earlier group, from 1, that its keyframe is a
+    difference to. Of a keyframe tier in one quality and of a level: `gaussians`, the fewest and most of a group,
+    `factor` of the quantiser steps, `pruned`, the share of moving rows. Of a rung, keyframe quality by keyframe
+    quality: everything that its viewer fetches; quality over all pictures, None where it was not measured; whether
+    players choose it (`on_ladder`).
     """
     sound = sum(group.sound.bytes for group in m.groups if group.sound)
     return {
@@ -84,7 +85,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> Row:
             | {"segments": len(g.segments), "keeps": g.keeps}
             for g in m.groups
         ],
-        "keys": [_key(m, t, q) for t in range(m.tiers) for q in range(len(m.qualities))],
+        "keyframes": [_keyframe(m, t, q) for t in range(m.tiers) for q in range(len(m.qualities))],
         "levels": [_level(m, j) for j in range(len(m.levels))],
         "rungs": rung_rows(m, manifest_bytes),
         "sound": m.sound and {"form": LAYOUTS[m.sound.channels], "mean_bps": _rate(m, sound)},
@@ -100,9 +101,9 @@ def _rate(m: Manifest, size: float) -> float:
     return 8 * size * float(m.fps) / m.frames
 
 
-def _key(m: Manifest, tier: int, quality: int) -> Row:
+def _keyframe(m: Manifest, tier: int, quality: int) -> Row:
     counts = [group.tiers[tier].count for group in m.groups]
-    total = sum(m.bytes_of(m.key_files(g, tier, quality)) for g in range(len(m.groups)))
+    total = sum(m.bytes_of(m.keyframe_files(g, tier, quality)) for g in range(len(m.groups)))
     row = {"tier": f"T{tier}", "quality": m.qualities[quality].id, "factor": m.qualities[quality].factor}
     return row | {"gaussians": [min(counts), max(counts)], "bytes_per_frame": total / m.frames}
 
@@ -110,7 +111,7 @@ def _key(m: Manifest, tier: int, quality: int) -> Row:
 def _level(m: Manifest, index: int) -> Row:
     level = m.levels[index]
     rows = [group.levels[index].rows for group in m.groups]
-    sizes = [m.bytes_of(m.state_files(i, index)) for i in range(len(m.segments))]
+    sizes = [m.bytes_of(m.delta_files(i, index)) for i in range(len(m.segments))]
     rates = [8 * size / float((s.stop - s.start) / m.fps) for size, s in zip(sizes, m.segments, strict=True)]
     row = {"id": level.id, "pruned": level.pruned, "factor": level.factor, "gaussians": [min(rows), max(rows)]}
     total = sum(sizes)
@@ -120,8 +121,8 @@ def _level(m: Manifest, index: int) -> Row:
 def rung_rows(m: Manifest, manifest_bytes: int) -> list[Row]:
     rows = []
     for rung in rungs_of(m, manifest_bytes):
-        quality = quality_of(m, m.level_index(rung.level), m.quality_index(rung.key_quality))
-        row: Row = {"key": rung.key_quality, "state": rung.level, "bytes_per_frame": rung.bytes / m.frames}
+        quality = quality_of(m, m.level_index(rung.level), m.quality_index(rung.keyframe_quality))
+        row: Row = {"keyframe": rung.keyframe_quality, "delta": rung.level, "bytes_per_frame": rung.bytes / m.frames}
         row |= {"mean_bps": 8 * row["bytes_per_frame"] * float(m.fps)}
         row |= dict.fromkeys(field.name for field in dataclasses.fields(RungQuality))
         rows.append(row | (dataclasses.asdict(quality) if quality else {}) | {"best": rung.best})
@@ -131,16 +132,16 @@ def rung_rows(m: Manifest, manifest_bytes: int) -> list[Row]:
 def bytes_by_kind(m: Manifest, manifest_bytes: int) -> dict[str, int]:
     """Return the bytes that a viewer of the top rung fetches, by what they are.
 
-    State pictures are H.264 alone; key pictures count with the detail of positions, their escapes and boxes.
+    Delta pictures are H.264 alone; keyframe pictures count with the detail of positions, their escapes and boxes.
     """
     tiers = [tier for group in m.groups for tier in group.tiers[: m.levels[0].tiers]]
-    states = [segment.levels[0] for segment in m.segments]
-    pictures = sum(sum(state.frame_bytes) for state in states)
+    deltas = [segment.levels[0] for segment in m.segments]
+    pictures = sum(sum(delta.frame_bytes) for delta in deltas)
     return {
-        "key pictures": sum(tier.pictures[0].bytes for tier in tiers),
-        "key sidecars": sum(tier.sidecar.bytes for tier in tiers),
-        "state pictures": pictures,
-        "escapes and boxes": sum(state.file.bytes for state in states) - pictures,
+        "keyframe pictures": sum(tier.pictures[0].bytes for tier in tiers),
+        "keyframe sidecars": sum(tier.sidecar.bytes for tier in tiers),
+        "delta pictures": pictures,
+        "escapes and boxes": sum(delta.file.bytes for delta in deltas) - pictures,
         **({"sound": sum(group.sound.bytes for group in m.groups if group.sound)} if m.sound else {}),
         "manifests": manifest_bytes,
     }
@@ -151,7 +152,7 @@ def describe_left_out(m: Manifest) -> list[str]:
     lines = [*_decisions(m), *_constant(m)]
     quiet = sum(not s.levels[0].file.bytes for s in m.segments)
     if quiet:
-        lines.append(f"{quiet} state segments: nothing moves in them by more than half a step")
+        lines.append(f"{quiet} delta segments: nothing moves in them by more than half a step")
     if m.sh_degree == 0:
         lines.append("SH rest: the scene has none")
     return lines
@@ -179,9 +180,9 @@ def _constant(m: Manifest) -> Iterator[str]:
     for i, group in enumerate(m.groups):
         for t, tier in enumerate(group.tiers):
             if not tier.count:
-                groups.setdefault(f"key tier T{t}: it has no rows", []).append(i)
-        keys = [(f"key T{t} Q0", tier.qualities[0], KEY) for t, tier in enumerate(group.tiers)]
-        for name, atlas, layout in (*keys, ("state L0", group.levels[0], STATE)):
+                groups.setdefault(f"keyframe tier T{t}: it has no rows", []).append(i)
+        keyframes = [(f"keyframe T{t} Q0", tier.qualities[0], KEYFRAME) for t, tier in enumerate(group.tiers)]
+        for name, atlas, layout in (*keyframes, ("delta L0", group.levels[0], DELTA)):
             if text := _without_plane(atlas, layout):
                 groups.setdefault(f"planes of {name}: {text} (constant within half a step)", []).append(i)
     for text, where in groups.items():
@@ -212,7 +213,7 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
         "",
         _table([key for key in s["keys"] if key["gaussians"][1]], KEYS).to_text(),  # others have no files
         "",
-        "levels, without keys:",
+        "levels, without keyframes:",
         _table(s["levels"], LEVELS).to_text(),
         "",
         "everything a viewer fetches (*: the ladder; the others are beaten by a mixture of two on it):",
@@ -270,7 +271,7 @@ def _table(rows: Sequence[Row], columns: Columns, name: str = "") -> Table:
 
 def rung_table(rungs: Sequence[Row], marked: bool = True) -> Table:
     """Return rungs as a table, those that players choose marked."""
-    rows = [rung | {"rung": f"{rung['key']} + {rung['state']}"} for rung in rungs]
+    rows = [rung | {"rung": f"{rung['keyframe']} + {rung['delta']}"} for rung in rungs]
     mark: Columns = {"best": ("", lambda best: "*" * best)}
     return _table(rows, RUNGS | (mark if marked else {}), "Rungs; *: what players choose among")
 
@@ -295,7 +296,9 @@ def plot_rungs(rungs: Sequence[Row], axes: Any) -> None:
     measured = sorted((r for r in rungs if r["psnr"] is not None), key=lambda r: (r["bytes_per_frame"], r["psnr"]))
     for best, form, colour in ((True, "o-", BLUE), (False, "o", GREY)):
         some = [
-            (r["bytes_per_frame"] / 1e3, r["psnr"], f"{r['key']}+{r['state']}") for r in measured if r["best"] == best
+            (r["bytes_per_frame"] / 1e3, r["psnr"], f"{r['keyframe']}+{r['delta']}")
+            for r in measured
+            if r["best"] == best
         ]
         axes.plot([x for x, _, _ in some], [y for _, y, _ in some], form, color=colour, ms=4)
         for x, y, name in some if best else ():
@@ -312,13 +315,13 @@ def _plot_bytes(axes: Any, m: Manifest) -> None:
         name = f"{level.id} ({100 * level.pruned:g} % pruned, x{level.factor:g})"
         axes.stairs(_picture_bytes(m, j) / 1e3, edges, label=name, linewidth=1.4, baseline=None)
     lengths = [group.stop - group.start for group in m.groups]
-    keys = [sum(m.bytes_of(m.key_files(g, t, 0)) for t in range(m.tiers)) for g in range(len(lengths))]
-    name = f"keys in {m.qualities[0].id}, spread over their group"
-    spread = np.repeat(np.array(keys) / lengths / 1e3, lengths)
+    keyframes = [sum(m.bytes_of(m.keyframe_files(g, t, 0)) for t in range(m.tiers)) for g in range(len(lengths))]
+    name = f"keyframes in {m.qualities[0].id}, spread over their group"
+    spread = np.repeat(np.array(keyframes) / lengths / 1e3, lengths)
     axes.stairs(spread, edges, fill=True, color="0.88", label=name, zorder=0)
     for group in m.groups[1:]:
         axes.axvline(group.start - 0.5, color="0.6", linestyle=":", linewidth=1)
-    axes.set(xlabel="frame (dotted: a new group)", ylabel="kB", title="Bytes over time: state pictures and keys")
+    axes.set(xlabel="frame (dotted: a new group)", ylabel="kB", title="Bytes over time: delta pictures and keyframes")
     axes.set_ylim(0, 1.3 * axes.get_ylim()[1])  # room for the legend
     axes.locator_params(axis="x", integer=True)
     axes.legend(loc="upper center", ncols=2)

@@ -42,7 +42,7 @@ def validate(path: str | Path) -> list[Finding]:
     """Return everything that is wrong with the package at a path or an address: an empty list for a good one.
 
     Checks the tables, the MPD against them, every file's length and digest, that there is no other file, and that every
-    key tier and every segment of every level decodes to the promised pictures and to finite numbers. Never raises
+    keyframe tier and every segment of every level decodes to the promised pictures and to finite numbers. Never raises
     for a bad package; TransportError where a store does not answer.
     """
     return validate_files(place_at(path))
@@ -83,7 +83,7 @@ def _attempt(where: str, work: Callable[[], object]) -> list[Finding]:
         work()
     except FormatError as error:
         return [_finding(error)]
-    except (AirgsError, OverflowError) as error:  # a group without keys; a number that fits no array
+    except (AirgsError, OverflowError) as error:  # a group without keyframes; a number that fits no array
         return [Finding("bad_value", where, str(error))]
     return []
 
@@ -96,7 +96,7 @@ def _check_mpd(package: Package) -> None:
 
 
 def _check_tables(package: Package) -> Iterator[Finding]:
-    """Check that every page and group table can be read, and that the group its keys are differences to fits."""
+    """Check that every page and group table can be read, and that the group its keyframes are differences to fits."""
     m = package.manifest
     for number in m.groups.places.sweep():
         if isinstance(number, FormatError):
@@ -148,7 +148,7 @@ def _check_decoding(package: Package) -> Iterator[Finding]:
     for g in range(len(m.groups)):
         yield from _attempt(f"group {g}", partial(_decode_sound, package, g))
         for q in range(len(m.qualities)):
-            yield from _attempt(f"group {g}", partial(_decode_key, package, g, q))
+            yield from _attempt(f"group {g}", partial(_decode_keyframe, package, g, q))
         try:
             with np.errstate(all="ignore"):
                 base = decode_canonical(package, g, 0)
@@ -156,7 +156,7 @@ def _check_decoding(package: Package) -> Iterator[Finding]:
             continue  # found above
         for s in m.segments_of(g):
             for j in range(len(m.levels)):
-                yield from _attempt(f"segment {s}", partial(_decode_state, package, s, j, base))
+                yield from _attempt(f"segment {s}", partial(_decode_delta, package, s, j, base))
 
 
 def _decode_sound(package: Package, group: int) -> None:
@@ -164,23 +164,23 @@ def _decode_sound(package: Package, group: int) -> None:
     check_sound(package, group)
 
 
-def _decode_key(package: Package, group: int, quality: int) -> None:
+def _decode_keyframe(package: Package, group: int, quality: int) -> None:
     with np.errstate(all="ignore"):  # _expect_finite says it better
         base = decode_canonical(package, group, quality)
         _expect_finite(base.to_gaussians(), f"group {group} Q{quality}")
     m, entry = package.manifest, package.manifest.groups[group]
     start, lasts = (frame * m.frame_ticks for frame in (entry.start, entry.stop - entry.start))
     for t, tier in enumerate(entry.tiers):
-        for media in m.key_files(group, t, quality)[1:]:
+        for media in m.keyframe_files(group, t, quality)[1:]:
             _expect_pictures(package, media, tier.qualities[quality], 1, False)
             check_segment(package.read(media), media, start, lasts, tier.qualities[quality].pages, False)
 
 
-def _decode_state(package: Package, index: int, level: int, base: Canonical) -> None:
+def _decode_delta(package: Package, index: int, level: int, base: Canonical) -> None:
     m = package.manifest
     segment = m.segments[index]
     length, lined = segment.stop - segment.start, bool(segment.levels[level].line)
-    for media in m.state_files(index, level):
+    for media in m.delta_files(index, level):
         with np.errstate(all="ignore"):
             for frame in decode_segment(package, index, base, level, range(length)):
                 _expect_finite(frame, media)

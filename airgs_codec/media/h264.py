@@ -35,9 +35,9 @@ from airgs_codec.media.mp4 import (
 
 DEFAULT_PRESET = "veryslow"
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo")
-KEY_QP = 20  # a step of 6.35 luma levels
-STATE_QP = 20  # a step of 6.35 luma levels
-STATE_PB_RATIO = 1.3  # of the steps of B-pictures, to those of others: most are predicted from by none
+KEYFRAME_QP = 20  # a step of 6.35 luma levels
+DELTA_QP = 20  # a step of 6.35 luma levels
+DELTA_PB_RATIO = 1.3  # of the steps of B-pictures, to those of others: most are predicted from by none
 FULL_RANGE = 2  # AVCOL_RANGE_JPEG
 # Decoders and screens that take full-range pictures for limited ones clip what is outside: no decoded luma is.
 DARKEST, BRIGHTEST = 16, 235
@@ -45,7 +45,7 @@ _LEVEL = "5.1"  # the highest that every phone decodes, and its limits (ISO/IEC 
 _LEVEL_BUFFER = 184_320  # macroblocks of the pictures that a decoder holds
 _LEVEL_RATE = 983_040  # macroblocks a second
 _MOST_REFERENCES = 4  # more take time and save no bytes
-BETWEEN = 3  # B-pictures in a row between states
+BETWEEN = 3  # B-pictures in a row between deltas
 _IDR = 5  # type of the NAL units of an IDR picture
 _SLICES = (1, _IDR)  # of all pictures
 _SEI = 6  # type of the NAL unit in which x264 repeats its version and options in every stream
@@ -109,7 +109,7 @@ class CodecSettings:
 
         AQ, psy and mb-tree are off: every sample counts alike. Scene cuts are off: `ClosedGop`s decide the IDRs.
         Deblocking is off: neighbours in a plane are near in space, not parts of a smooth picture (+0.1 dB on the fox).
-        Nothing moves across a plane, so that a wide search for motion finds chance. States of the fox took 4 % fewer
+        Nothing moves across a plane, so that a wide search for motion finds chance. Deltas of the fox took 4 % fewer
         bytes at equal error with these searches, references and B-pictures than with the preset's.
         x264 writes into the SPS how many pictures it reorders and refers to, and derives the level from that. Where it
         would come to more than 5.1 it is told 5.1, which leaves as many reference pictures as that allows.
@@ -126,14 +126,14 @@ class CodecSettings:
         return options if suits_level else options | {"level": _LEVEL}
 
 
-def key_codec(preset: str) -> CodecSettings:
-    """The settings of key pictures at an x264 preset."""
-    return CodecSettings(KEY_QP, 1.0, preset, between=0)
+def keyframe_codec(preset: str) -> CodecSettings:
+    """The settings of keyframe pictures at an x264 preset."""
+    return CodecSettings(KEYFRAME_QP, 1.0, preset, between=0)
 
 
-def state_codec(preset: str) -> CodecSettings:
-    """The settings of state pictures at an x264 preset."""
-    return CodecSettings(STATE_QP, STATE_PB_RATIO, preset)
+def delta_codec(preset: str) -> CodecSettings:
+    """The settings of delta pictures at an x264 preset."""
+    return CodecSettings(DELTA_QP, DELTA_PB_RATIO, preset)
 
 
 def encode_gop(gop: ClosedGop, size: tuple[int, int], rate: Fraction, settings: CodecSettings) -> CodedGop:

@@ -1,4 +1,4 @@
-"""How a package is laid out: its files by their paths, and the channels of its key and state atlases.
+"""How a package is laid out: its files by their paths, and the channels of its keyframe and delta atlases.
 
 FORMAT.md, sections 2 and 5. Numbers in paths, and levels of the index, count from 1; that of a media file may be the
 placeholder of a template. A channel is one scalar of an attribute and, where it
@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.package.tables import Group, KeySteps, StateSteps
+from airgs_codec.package.tables import Group, KeyframeSteps, DeltaSteps
 
 JSON_NAME = "airgs.json"
 MPD_NAME = "manifest.mpd"
@@ -37,9 +37,9 @@ MEDIA_TYPES = {  # by how the name of a file ends
 
 _ORDINAL, _NUMBER = r"(0|[1-9]\d?)", r"([1-9]\d{0,6})"
 PATTERNS = {  # how a path is built -> what `locate` calls it
-    rf"key/T{_ORDINAL}/{_NUMBER}\.bin": "sidecar",
-    rf"key/T{_ORDINAL}/Q{_ORDINAL}/{_NUMBER}\.m4s": "key",
-    rf"state/L{_ORDINAL}/{_NUMBER}\.m4s": "state",
+    rf"keyframe/T{_ORDINAL}/{_NUMBER}\.bin": "sidecar",
+    rf"keyframe/T{_ORDINAL}/Q{_ORDINAL}/{_NUMBER}\.m4s": "keyframe",
+    rf"delta/L{_ORDINAL}/{_NUMBER}\.m4s": "delta",
     rf"sound/{_NUMBER}\.m4a": "sound",
     rf"group/{_NUMBER}\.json\.gz": "group",
     rf"index/([1-9])/{_NUMBER}\.json": "page",
@@ -50,8 +50,8 @@ RETAINED = 1 << 14  # paths whose place is known: more than a session looks at a
 class FileKind(StrEnum):
     """What a file of a package carries; the values are the names in reports."""
 
-    KEY = "key"  # the picture of a key tier with its detail
-    STATE = "state"  # the pictures of a state segment with its escapes
+    KEYFRAME = "keyframe"  # the picture of a keyframe tier with its detail
+    DELTA = "delta"  # the pictures of a delta segment with its escapes
     SIDECARS = "sidecars"  # positions
     SOUND = "sound"
     INIT = "init"  # for DASH players alone
@@ -61,7 +61,12 @@ class FileKind(StrEnum):
 
 _FIXED = dict.fromkeys(ROOTS, FileKind.MANIFESTS) | {POSTER_NAME: FileKind.POSTER}
 _FIXED |= dict.fromkeys((INIT_NAME, SOUND_INIT_NAME), FileKind.INIT)
-_LOCATED = {"sidecar": FileKind.SIDECARS, "key": FileKind.KEY, "state": FileKind.STATE, "sound": FileKind.SOUND}
+_LOCATED = {
+    "sidecar": FileKind.SIDECARS,
+    "keyframe": FileKind.KEYFRAME,
+    "delta": FileKind.DELTA,
+    "sound": FileKind.SOUND,
+}
 
 
 @lru_cache(RETAINED)
@@ -82,16 +87,16 @@ def belongs(path: str) -> bool:
     return path in _FIXED or locate(path)[0] != ""
 
 
-def key_sidecar_path(tier: int, number: int) -> str:
-    return f"key/T{tier}/{number}.bin"
+def keyframe_sidecar_path(tier: int, number: int) -> str:
+    return f"keyframe/T{tier}/{number}.bin"
 
 
-def key_media_path(tier: int, quality: int, number: int | str) -> str:
-    return f"key/T{tier}/Q{quality}/{number}.m4s"
+def keyframe_media_path(tier: int, quality: int, number: int | str) -> str:
+    return f"keyframe/T{tier}/Q{quality}/{number}.m4s"
 
 
-def state_media_path(level: int, number: int | str) -> str:
-    return f"state/L{level}/{number}.m4s"
+def delta_media_path(level: int, number: int | str) -> str:
+    return f"delta/L{level}/{number}.m4s"
 
 
 def sound_path(number: int | str) -> str:
@@ -113,7 +118,7 @@ COLOUR = "colour"
 class ChannelRun:
     """The channels of one attribute of fixed width. `coding.channels` makes them and puts them back."""
 
-    attribute: str  # the field of KeySteps or StateSteps that holds its quantiser step
+    attribute: str  # the field of KeyframeSteps or DeltaSteps that holds its quantiser step
     axes: tuple[str, ...]  # one name a channel
     unit: str  # of a channel, and so of its step
 
@@ -122,7 +127,7 @@ class ChannelRun:
 class Layout:
     """The channels of a kind of atlas, in order: those of `runs`, then C of colour."""
 
-    kind: str  # "key" or "state"
+    kind: str  # "keyframe" or "delta"
     runs: tuple[ChannelRun, ...]
 
     @property
@@ -147,7 +152,7 @@ class Layout:
         """(channels,) place of each channel's attribute in `attributes`."""
         return np.array([self.attributes.index(name) for name in self.names(channels)[:channels]])
 
-    def steps(self, steps: KeySteps | StateSteps, colours: int) -> NDArray[np.float64]:
+    def steps(self, steps: KeyframeSteps | DeltaSteps, colours: int) -> NDArray[np.float64]:
         """(channels,) quantiser step of each channel at factor 1; colour channels count in steps already."""
         return np.array([1.0 if name == COLOUR else getattr(steps, name) for name in self.names(colours)])
 
@@ -159,9 +164,9 @@ _RUNS = (
     ChannelRun("quaternions", _XYZ, "radians"),
     ChannelRun("opacity", ("alpha",), "of [0, 1]"),
 )
-KEY, STATE = Layout("key", _RUNS[1:]), Layout("state", _RUNS)  # canonical means travel in the sidecar
+KEYFRAME, DELTA = Layout("keyframe", _RUNS[1:]), Layout("delta", _RUNS)  # canonical means travel in the sidecar
 
 
-def key_layout(group: Group) -> Layout:
-    """The channels of the key pictures of a group: those of a state where they are differences to another group."""
-    return KEY if group.keeps is None else STATE
+def keyframe_layout(group: Group) -> Layout:
+    """The channels of the keyframe pictures of a group: those of a delta where they are differences to another group."""
+    return KEYFRAME if group.keeps is None else DELTA

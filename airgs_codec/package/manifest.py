@@ -1,6 +1,6 @@
 """A package's tables as one value: the root and its groups, found by its index and read when they are asked for.
 
-Groups, segments, key tiers, qualities and levels are counted from 0; groups and segments in paths from 1.
+Groups, segments, keyframe tiers, qualities and levels are counted from 0; groups and segments in paths from 1.
 """
 
 from __future__ import annotations
@@ -268,11 +268,11 @@ class Manifest(Header):
         stops = [segment.stop for segment in self.groups[group].segments]
         return self.segments_of(group)[next(i for i, stop in enumerate(stops) if frame < stop)]
 
-    def key_files(self, group: int, tier: int, quality: int) -> list[str]:
-        """Sidecar and picture of one key tier; no picture of an atlas without rows, nothing of a tier without."""
-        entry, files = self.groups[group].tiers[tier], [layout.key_sidecar_path(tier, group + 1)]
+    def keyframe_files(self, group: int, tier: int, quality: int) -> list[str]:
+        """Sidecar and picture of one keyframe tier; no picture of an atlas without rows, nothing of a tier without."""
+        entry, files = self.groups[group].tiers[tier], [layout.keyframe_sidecar_path(tier, group + 1)]
         if entry.qualities[quality].rows:
-            files.append(layout.key_media_path(tier, quality, group + 1))
+            files.append(layout.keyframe_media_path(tier, quality, group + 1))
         return files if entry.count else []
 
     def base_of(self, group: int) -> int | None:
@@ -287,9 +287,9 @@ class Manifest(Header):
         check_base(table, self.groups[table.keeps - 1], group_path(group + 1))
         return table.keeps - 1
 
-    def state_files(self, segment: int, level: int) -> list[str]:
+    def delta_files(self, segment: int, level: int) -> list[str]:
         there = self.segments[segment].levels[level].file.bytes > 0
-        return [layout.state_media_path(level, segment + 1)] if there else []
+        return [layout.delta_media_path(level, segment + 1)] if there else []
 
     def sound_files(self, group: int) -> list[str]:
         entry = self.groups[group].sound
@@ -297,9 +297,9 @@ class Manifest(Header):
 
     def group_files(self, group: int) -> list[str]:
         tiers, qualities, levels = range(self.tiers), range(len(self.qualities)), range(len(self.levels))
-        keys = [path for t in tiers for q in qualities for path in self.key_files(group, t, q)]
-        states = [path for s in self.segments_of(group) for j in levels for path in self.state_files(s, j)]
-        return sorted({*self.sound_files(group), *keys, *states})
+        keyframes = [path for t in tiers for q in qualities for path in self.keyframe_files(group, t, q)]
+        deltas = [path for s in self.segments_of(group) for j in levels for path in self.delta_files(s, j)]
+        return sorted({*self.sound_files(group), *keyframes, *deltas})
 
     def shared_files(self) -> list[str]:
         return [path for path, entry in self._shared().items() if entry]
@@ -330,9 +330,9 @@ class Manifest(Header):
         match layout.locate(path):
             case "sidecar", [tier, number]:
                 return self.groups[number - 1].tiers[tier].sidecar
-            case "key", [tier, quality, number]:
+            case "keyframe", [tier, quality, number]:
                 return self.groups[number - 1].tiers[tier].pictures[quality]
-            case "state", [level, number]:
+            case "delta", [level, number]:
                 return self.segments[number - 1].levels[level].file
             case "sound", [number]:
                 return self.groups[number - 1].sound
@@ -354,18 +354,22 @@ class Manifest(Header):
         """Every file a viewer of one rung fetches of some groups, by default of all, without tables."""
         tiers, groups = range(self.levels[level].tiers), range(len(self.groups)) if groups is None else groups
         sound = [path for g in groups for path in self.sound_files(g)]
-        keys = [path for g in groups for t in tiers for path in self.key_files(g, t, quality)]
-        return sound + keys + [path for g in groups for s in self.segments_of(g) for path in self.state_files(s, level)]
+        keyframes = [path for g in groups for t in tiers for path in self.keyframe_files(g, t, quality)]
+        return (
+            sound
+            + keyframes
+            + [path for g in groups for s in self.segments_of(g) for path in self.delta_files(s, level)]
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class Rung:
-    """Everything that a viewer of one key quality and level fetches from start to end, and what it shows."""
+    """Everything that a viewer of one keyframe quality and level fetches from start to end, and what it shows."""
 
     name: str  # such as Q0+L0
-    key_quality: str
+    keyframe_quality: str
     level: str
-    bytes: int  # of keys, states, sound and all tables
+    bytes: int  # of keyframes, deltas, sound and all tables
     psnr: float | None  # dB, of the error pooled over pictures; None: not measured
     best: bool  # whether players choose it, see `on_ladder`
 
@@ -390,8 +394,8 @@ def quality_of(m: Manifest, level: int, quality: int) -> RungQuality | None:
 def on_ladder(rungs: Sequence[tuple[float, float | None]]) -> list[bool]:
     """Whether each of some rungs (bytes, PSNR in dB) is on the lower convex hull of mean squared error over bytes.
 
-    A rung above it, such as the finest keys with the coarsest states, is beaten by some mixture of two on it; so is,
-    for what is known of it, one that was not measured.
+    A rung above it, such as the finest keyframes with the coarsest deltas, is beaten by some mixture of two on it; so
+    is, for what is known of it, one that was not measured.
     """
     hull: list[tuple[float, float]] = []  # both ascending
     measured = [(size, psnr) for size, psnr in rungs if psnr is not None]

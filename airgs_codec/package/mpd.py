@@ -1,13 +1,14 @@
 """manifest.mpd: a valid DASH MPD over the package's files, one Period. Advisory; airgs.json is normative.
 
-One AdaptationSet for the state (its Representations are the levels), one for each key tier (the key qualities) and one
-for the sound, whose timeline is that of the groups: packets meet it to 20 ms. The shape was chosen by what ffmpeg and
-dash.js read: SegmentTemplate with $Number$ and an explicit SegmentTimeline, SupplementalProperty only, relative
-addresses, one init segment for all. The SegmentTemplate stands in the AdaptationSet where the timelines of its
-Representations are equal; otherwise each has its own, and the set has none (video.js would play the files of both).
-Runs of equal segments are one S, so that the MPD does not grow with a regular sequence. DASH players stop at a gap in a
-timeline, and count files from its beginning: where nothing of a level moves, and the tables have no file, a still file
-of one grey picture takes its place, which only DASH players fetch. Key tiers without a picture in a group leave gaps.
+One AdaptationSet for the delta (its Representations are the levels), one for each keyframe tier (the keyframe
+qualities) and one for the sound, whose timeline is that of the groups: packets meet it to 20 ms. The shape was chosen
+by what ffmpeg and dash.js read: SegmentTemplate with $Number$ and an explicit SegmentTimeline, SupplementalProperty
+only, relative addresses, one init segment for all. The SegmentTemplate stands in the AdaptationSet where the timelines
+of its Representations are equal; otherwise each has its own, and the set has none (video.js would play the files of
+both). Runs of equal segments are one S, so that the MPD does not grow with a regular sequence. DASH players stop at a
+gap in a timeline, and count files from its beginning: where nothing of a level moves, and the tables have no file, a
+still file of one grey picture takes its place, which only DASH players fetch. Keyframe tiers without a picture in a
+group leave gaps.
 
 What only DASH players and pages read is checked against the tables: the MPD, which is refused with its reason where a
 player would follow it elsewhere, init files, the poster, and the boxes of sound. No video is decoded.
@@ -106,8 +107,8 @@ class Representation:
 class AdaptationSet:
     """Representations of which a viewer plays one at a time, the best first."""
 
-    role: str  # "state", the key tier, or "sound"
-    priority: int  # a DASH player that knows nothing of this format shows the state
+    role: str  # "delta", the keyframe tier, or "sound"
+    priority: int  # a DASH player that knows nothing of this format shows the delta
     representations: list[Representation]
 
 
@@ -125,9 +126,9 @@ class Streams:
     def __init__(self, m: Header) -> None:
         """`m`: the package, whose groups are added one by one."""
         self._header = m
-        self._states = [Representation(f"L{j}", layout.state_media_path(j, NUMBER)) for j in range(len(m.levels))]
-        self._keys = [
-            [Representation(f"T{t}/Q{q}", layout.key_media_path(t, q, NUMBER)) for q in range(len(m.qualities))]
+        self._deltas = [Representation(f"L{j}", layout.delta_media_path(j, NUMBER)) for j in range(len(m.levels))]
+        self._keyframes = [
+            [Representation(f"T{t}/Q{q}", layout.keyframe_media_path(t, q, NUMBER)) for q in range(len(m.qualities))]
             for t in range(m.tiers)
         ]
         self._sound = Representation(SOUND, layout.sound_path(NUMBER), init=SOUND_INIT_NAME)
@@ -145,14 +146,14 @@ class Streams:
         """Add the next group, and return its still files by their paths."""
         m = self._header
         self._groups += 1
-        for row, tier in zip(self._keys, group.tiers, strict=True):
+        for row, tier in zip(self._keyframes, group.tiers, strict=True):
             for stream, picture in zip(row, tier.pictures, strict=True):
                 stream.add(m, self._groups, group, picture.bytes)
         self._sound.add(m, self._groups, group, group.sound.bytes if group.sound else 0)
         stills: dict[str, bytes] = {}
         for segment in group.segments:
             self._segments += 1
-            for stream, level in zip(self._states, segment.levels, strict=True):
+            for stream, level in zip(self._deltas, segment.levels, strict=True):
                 size = level.file.bytes
                 if not size and stream.timeline:
                     ticks = m.frame_ticks
@@ -163,9 +164,9 @@ class Streams:
         return stills
 
     def sets(self) -> list[AdaptationSet]:
-        """The state, then each key tier, then the sound, as far as they have files."""
-        keys = [(f"key;tier={t}", 1, row) for t, row in enumerate(self._keys)]
-        sets = [("state", 10, self._states), *keys, (SOUND, 1, [self._sound])]
+        """The delta, then each keyframe tier, then the sound, as far as they have files."""
+        keyframes = [(f"keyframe;tier={t}", 1, row) for t, row in enumerate(self._keyframes)]
+        sets = [("delta", 10, self._deltas), *keyframes, (SOUND, 1, [self._sound])]
         listed = [AdaptationSet(role, priority, [r for r in row if r.timeline]) for role, priority, row in sets]
         return [one for one in listed if one.representations]
 
@@ -341,7 +342,7 @@ def _check_ids(found: list[list[str]], expected: list[list[str]]) -> None:
     expect(len(set(got)) == len(got), MPD_NAME, words, "bad_mpd")
     for name in sorted(set(got) ^ set(wanted)):
         raise FormatError("mpd_mismatch", f"{MPD_NAME} {name}", "is not in both the MPD and the tables")
-    words = "expected an AdaptationSet for the state, for each key tier and for the sound"
+    words = "expected an AdaptationSet for the delta, for each keyframe tier and for the sound"
     fits = {frozenset(row) for row in found if row} == {frozenset(row) for row in expected}
     expect(fits, MPD_NAME, words, "mpd_mismatch")
 

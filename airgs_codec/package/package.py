@@ -58,7 +58,7 @@ class Package:
 
     def __repr__(self) -> str:
         m = self.manifest
-        rungs = f"{len(m.qualities)} key qualities of {len(m.levels)} levels"
+        rungs = f"{len(m.qualities)} keyframe qualities of {len(m.levels)} levels"
         return f"Package({self.files.name}: {m.frames} frames at {float(m.fps):g} a second, {rungs})"
 
     def read(self, relative: str) -> bytes:

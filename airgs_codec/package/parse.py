@@ -23,7 +23,7 @@ import numpy as np
 
 from airgs_codec.errors import FormatError, SceneError
 from airgs_codec.package import tables
-from airgs_codec.package.layout import JSON_NAME, STATE, Layout, group_path, key_layout
+from airgs_codec.package.layout import JSON_NAME, DELTA, Layout, group_path, keyframe_layout
 from airgs_codec.package.tables import Atlas, Entry, FileEntry, Group, Header, Region, Root, Segment, Spans
 from airgs_codec.places.place import got_words
 
@@ -297,10 +297,10 @@ def check_base(group: Group, base: Group, where: str) -> None:
     words = f"expected a group that keeps none, got {group.keeps}, which keeps {base.keeps}"
     expect(base.keeps is None, f"{where}.keeps", words)
     alike = [
-        (g.grid, g.key_steps, g.colour_transform, [(tier.count, tier.factor) for tier in g.tiers])
+        (g.grid, g.keyframe_steps, g.colour_transform, [(tier.count, tier.factor) for tier in g.tiers])
         for g in (group, base)
     ]
-    words = f"expected a group of equal tiers, grid, key_steps and colours, got {group.keeps}"
+    words = f"expected a group of equal tiers, grid, keyframe_steps and colours, got {group.keeps}"
     expect(alike[0] == alike[1], f"{where}.keeps", words)
 
 
@@ -387,7 +387,7 @@ def _group_bounds(m: Header, group: Group) -> Iterator[Bound]:
     yield "sum of tier counts", sum(tier.count for tier in group.tiers), group.count, group.count
     first = sum(tier.count for tier in group.tiers[:fewest])
     yield f"rows of the first {fewest} tiers", first, 1, group.count
-    layout = key_layout(group)
+    layout = keyframe_layout(group)
     yield "grid.step", group.grid.unit, 1 / MOST_NUMBER, MOST_NUMBER
     for t, tier in enumerate(group.tiers):
         for q, atlas in enumerate(tier.qualities):
@@ -397,7 +397,7 @@ def _group_bounds(m: Header, group: Group) -> Iterator[Bound]:
             yield from _atlas_bounds(where, atlas, layout, m.colour_channels)
     for j, atlas in enumerate(group.levels):
         yield f"levels[{j}].rows", atlas.rows, 0, group.count - group.static
-        yield from _atlas_bounds(f"levels[{j}]", atlas, STATE, m.colour_channels)
+        yield from _atlas_bounds(f"levels[{j}]", atlas, DELTA, m.colour_channels)
 
 
 def _atlas_bounds(where: str, atlas: Atlas, layout: Layout, colours: int) -> Iterator[Bound]:

@@ -37,8 +37,8 @@ PAGE = 64  # groups, or pages of the level below, on a page of the index
 MAX_LEVELS = 5  # of the index, groups among them: PAGE ** MAX_LEVELS groups have more than MAX_FRAMES frames
 DIGEST = 32  # characters of a digest
 PACKETS = 50  # of sound, a second
-STATE_ATTRIBUTES = ("means", "quaternions", "log_scales", "opacity", "sh_dc", "sh_rest")
-KEY_ATTRIBUTES = STATE_ATTRIBUTES[1:]  # canonical means travel in the sidecar
+DELTA_ATTRIBUTES = ("means", "quaternions", "log_scales", "opacity", "sh_dc", "sh_rest")
+KEYFRAME_ATTRIBUTES = DELTA_ATTRIBUTES[1:]  # canonical means travel in the sidecar
 STATIC = 255  # depth of a row that no level carries; no depth is larger
 LEAST_CLASS, MOST_CLASS = -128, 127  # of motion: a row of class c has the motion unit 2^c world units
 MOST_WIDER = 255  # e of a row that lies in a grid 2^e times as wide
@@ -165,8 +165,8 @@ class Views:
 
 
 @dataclass(frozen=True, slots=True)
-class KeyQuality:
-    """A quality of the key: steps multiplied by `factor`, the sides of the cells of canonical means by 2^coarser."""
+class KeyframeQuality:
+    """A quality of the keyframe: steps multiplied by `factor`, the sides of the cells of canonical means by 2^coarser."""
 
     id: str
     factor: Factor
@@ -180,8 +180,10 @@ class Level:
     id: str
     pruned: Share  # of the moving rows
     factor: Factor
-    tiers: int  # key tiers that its viewers fetch; rows of later tiers have no state in it
-    quality: Annotated[int, Range(0, MAX_CHOICES - 1)]  # key quality that its states correct: its rung of the ladder
+    tiers: int  # keyframe tiers that its viewers fetch; rows of later tiers have no delta in it
+    quality: Annotated[
+        int, Range(0, MAX_CHOICES - 1)
+    ]  # keyframe quality that its deltas correct: its rung of the ladder
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +191,7 @@ class Grid:
     """Nested cubic cells of canonical means: a row of motion class c lies in the middle of a cell of 2^k steps.
 
     k = c - finest, from 0 to GRID_BITS; a cell begins at step * (origin + index), index 0 .. 2^GRID_BITS - 1 with k low
-    bits 0. In a key quality k grows by its `coarser`, but not past GRID_BITS. Rows far away have wider steps.
+    bits 0. In a keyframe quality k grows by its `coarser`, but not past GRID_BITS. Rows far away have wider steps.
     """
 
     origin: Annotated[list[Annotated[int, Range(-(1 << 52), 1 << 52)]], Length(3, 3)]  # steps
@@ -203,8 +205,8 @@ class Grid:
 
 
 @dataclass(frozen=True, slots=True)
-class KeySteps:
-    """Quantiser steps of the key at factor 1."""
+class KeyframeSteps:
+    """Quantiser steps of the keyframe at factor 1."""
 
     quaternions: Step  # radians
     log_scales: Step  # ln
@@ -214,8 +216,8 @@ class KeySteps:
 
 
 @dataclass(frozen=True, slots=True)
-class StateSteps:
-    """Quantiser steps of the state at factor 1."""
+class DeltaSteps:
+    """Quantiser steps of the delta at factor 1."""
 
     means: Step  # motion units of the row
     quaternions: Step  # radians
@@ -225,13 +227,13 @@ class StateSteps:
     sh_rest: Step
 
 
-def difference_steps(key: KeySteps, grid: Grid) -> StateSteps:
-    return StateSteps(grid.unit, *(getattr(key, name) for name in KEY_ATTRIBUTES))
+def difference_steps(keyframe: KeyframeSteps, grid: Grid) -> DeltaSteps:
+    return DeltaSteps(grid.unit, *(getattr(keyframe, name) for name in KEYFRAME_ATTRIBUTES))
 
 
 @dataclass(frozen=True, slots=True)
 class Atlas:
-    """How one group's rows lie in the pictures of a key quality or a level."""
+    """How one group's rows lie in the pictures of a keyframe quality or a level."""
 
     rows: Count
     centres: list[Annotated[int, Range(-MAX_CENTRE, MAX_CENTRE)]]  # a code for every channel
@@ -260,10 +262,10 @@ class Atlas:
 
 @dataclass(frozen=True, slots=True)
 class GroupTier:
-    """A key tier of one group."""
+    """A keyframe tier of one group."""
 
     count: Count  # rows; a tier without rows has no files
-    factor: Factor  # on the key steps, beside that of the key quality
+    factor: Factor  # on the keyframe steps, beside that of the keyframe quality
     sidecar: FileEntry  # shared by all its qualities
     qualities: list[Atlas]  # of no rows where nothing differs from the group `keeps`
     pictures: list[FileEntry]  # the picture in each quality; none of no rows
@@ -275,8 +277,8 @@ class SegmentLevel:
 
     file: FileEntry  # none: nothing to fetch, the canonical space is shown
     frame_bytes: list[PictureBytes]  # H.264 bytes of each frame, the first with the slopes; empty without a file
-    psnr: list[Decibels]  # for each key quality; empty: not measured
-    delta_e: list[Annotated[float, Range(0, MAX_DELTA_E)]]  # CIEDE2000 for each key quality
+    psnr: list[Decibels]  # for each keyframe quality; empty: not measured
+    delta_e: list[Annotated[float, Range(0, MAX_DELTA_E)]]  # CIEDE2000 for each keyframe quality
     line: bool | None = None  # whether its file begins with slopes; None, and no such field: it does not
 
 
@@ -293,7 +295,7 @@ class Segment:
 class LeftOut:
     """Something that was not written because pictures hardly need it, with the two numbers that decided."""
 
-    what: str  # gaussians, updates, key planes, state planes, segments or sh bands
+    what: str  # gaussians, updates, keyframe planes, delta planes, segments or sh bands
     count: int  # of what was left out
     error: float  # mean squared error of pictures that it makes, samples in 0..1
     bytes: float  # a frame that it saves, estimated
@@ -309,20 +311,22 @@ class Group:
     static: Count  # rows of `count` that no level carries
     unused: Count  # Gaussians no view uses: not written
     grid: Grid
-    key_steps: KeySteps
-    state_steps: StateSteps
+    keyframe_steps: KeyframeSteps
+    delta_steps: DeltaSteps
     colour_transform: str  # base64 of C x C little-endian int16, in 1 / TRANSFORM_UNITS; row k makes channel k
     tiers: list[GroupTier]
-    levels: list[Atlas]  # of the states
+    levels: list[Atlas]  # of the deltas
     segments: Annotated[list[Segment], Length(1, MAX_FRAMES)]
     left_out: list[LeftOut]
     repairs: list[str]  # what was repaired in the input before coding
-    keeps: Annotated[int, Range(1, MAX_FRAMES)] | None = None  # an earlier group, from 1, that keys are differences to
+    keeps: Annotated[int, Range(1, MAX_FRAMES)] | None = (
+        None  # an earlier group, from 1, that keyframes are differences to
+    )
     sound: FileEntry | None = None  # of its frames; None in a package without sound
 
     @property
-    def difference_steps(self) -> StateSteps:
-        return difference_steps(self.key_steps, self.grid)
+    def difference_steps(self) -> DeltaSteps:
+        return difference_steps(self.keyframe_steps, self.grid)
 
 
 @dataclass(frozen=True, slots=True)
@@ -354,7 +358,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class RungQuality:
-    """The quality of a level with a key quality over the whole package, as pictures have shown it."""
+    """The quality of a level with a keyframe quality over the whole package, as pictures have shown it."""
 
     psnr: Decibels  # of the mean squared error over pictures
     error: Annotated[float, Range(0, MAX_PSNR)]  # dB: standard error of the PSNR
@@ -364,7 +368,7 @@ class RungQuality:
     pictures: Count
 
 
-Rungs = list[list[RungQuality]]  # of each key quality and level; empty: not measured
+Rungs = list[list[RungQuality]]  # of each keyframe quality and level; empty: not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -380,16 +384,16 @@ class Header:
     frames: FrameCount  # so far, where more are to come
     live: bool  # whether more groups are to come
     sh_degree: Annotated[int, Range(0, 3)]
-    key_gain: Gain  # luma levels a step in key atlases
-    state_gain: Gain  # luma levels a step in state atlases
+    keyframe_gain: Gain  # luma levels a step in keyframe atlases
+    delta_gain: Gain  # luma levels a step in delta atlases
     region: Region
     world: World | None  # None, and no such field in airgs.json: nobody told which way is up
     origin: Point | None  # where positions are from in the world; None, and no such field in airgs.json: from zero
     poster: FileEntry | None  # None, and no such field in airgs.json: there is none
     views: Views
-    qualities: Annotated[list[KeyQuality], Choices]
+    qualities: Annotated[list[KeyframeQuality], Choices]
     levels: Annotated[list[Level], Choices]
-    tiers: Annotated[int, Range(1, MAX_CHOICES)]  # key tiers
+    tiers: Annotated[int, Range(1, MAX_CHOICES)]  # keyframe tiers
     rungs: Rungs
     sound: Sound | None  # None, and no such field in airgs.json: there is none
 
@@ -420,8 +424,8 @@ class Header:
         return _index_of("level", choice, [level.id for level in self.levels])
 
     def quality_index(self, choice: str | int) -> int:
-        """Index of a key quality given by its id ("Q1") or its index (1 or "1"). Raises ConfigError for any other."""
-        return _index_of("key_quality", choice, [quality.id for quality in self.qualities])
+        """Index of a keyframe quality given by its id ("Q1") or its index (1 or "1"). Raises ConfigError for any other."""
+        return _index_of("keyframe_quality", choice, [quality.id for quality in self.qualities])
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,11 +8,11 @@ is the integral of the trace. Any player that shows its slots at those deadlines
 its linear relaxation, is no less than what the player reached. Slots need not be fetched in order: deadlines and
 releases ascend together, and then the order of deadlines is as good as any.
 
-Where the keys of a group are differences to another one, the base, the keys of the base are fetched for it as well,
-but for those that an earlier slot of the same loop over the sequence had.
+Where the keyframes of a group are differences to another one, the base, the keyframes of the base are fetched for it as
+well, but for those that an earlier slot of the same loop over the sequence had.
 
-S slots, R rungs, Q key qualities, K key tiers. Sizes are kB inside the programme, or larger units where segments are
-gigabytes, so that its numbers are of one order.
+S slots, R rungs, Q keyframe qualities, K keyframe tiers. Sizes are kB inside the programme, or larger units where
+segments are gigabytes, so that its numbers are of one order.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.offers import NONE, Key, Keys, SegmentOffer
+from airgs_codec.play.offers import NONE, Keyframe, Keyframes, SegmentOffer
 
 ROUNDING = 1e-7  # share of a capacity that is added to it: sums of floats must not make a session impossible
-LARGEST = 1e6  # units that a state segment may have: past 1e11 HiGHS finds no solution where there is one
-_Key = tuple[int, int]  # key quality and tier
+LARGEST = 1e6  # units that a delta segment may have: past 1e11 HiGHS finds no solution where there is one
+_Keyframe = tuple[int, int]  # keyframe quality and tier
 Terms = list[tuple[int, float]]  # (column of a variable, its coefficient)
 Row = tuple[Terms, float, float]  # low <= sum of coefficient x variable <= high
 
@@ -50,13 +50,13 @@ class Slot:
 class Horizon:
     """What is to be chosen: slots in the order in which they are shown.
 
-    `decoded` are keys that need not be fetched in the loop of the first slot. `idle_bytes` is what the link could
+    `decoded` are keyframes that need not be fetched in the loop of the first slot. `idle_bytes` is what the link could
     have carried while it waits for the next request, per slot after the first: 0 for a player that sends its next
     request a round trip before the last batch ends, and in a bound.
     """
 
     slots: tuple[Slot, ...]
-    decoded: Keys = NONE
+    decoded: Keyframes = NONE
     idle_bytes: float = 0.0
 
 
@@ -102,58 +102,65 @@ def solve_horizon(horizon: Horizon, integer: bool = False) -> Schedule | None:
 
 
 class _Programme:
-    """Variables and constraints. Slot k has R shares of rungs, Q K shares of keys that are decoded, and F_k in units.
+    """Variables and constraints. Slot k has R shares of rungs, Q K shares of keyframes that are decoded, and F_k in
+    units.
 
-    Where any group has a base, Q K shares of keys of the base that are decoded come before F_k.
+    Where any group has a base, Q K shares of keyframes of the base that are decoded come before F_k.
     """
 
     def __init__(self, horizon: Horizon) -> None:
         self._horizon = horizon
         self._offers = [slot.offer for slot in horizon.slots]
         first = self._offers[0]
-        own = sorted({of.key[1:] for rung in first.rungs for of in rung.keys if of.key[0] == first.group})
+        own = sorted(
+            {of.keyframe[1:] for rung in first.rungs for of in rung.keyframes if of.keyframe[0] == first.group}
+        )
         self._column = {key: column for column, key in enumerate(own)}  # of (quality, tier)
         self.rungs = len(first.rungs)
         self._groups = [(offer.group, offer.base) for offer in self._offers]
         self._loops = np.cumsum([0, *(b.segment <= a.segment for a, b in itertools.pairwise(self._offers))])
-        self._bytes = {of.key: of.bytes for offer in self._offers for rung in offer.rungs for of in rung.keys}
+        self._bytes = {of.keyframe: of.bytes for offer in self._offers for rung in offer.rungs for of in rung.keyframes}
         kinds = 1 if all(base is None for _, base in self._groups) else 2
-        largest = max(float(rung.state_bytes) for offer in self._offers for rung in offer.rungs)
+        largest = max(float(rung.delta_bytes) for offer in self._offers for rung in offer.rungs)
         self.unit = max(1e3, largest / LARGEST)  # bytes
         self.width = self.rungs + kinds * len(own) + 1
 
-    def _key(self, k: int, of: int, key: _Key) -> int:
-        """Return the column of a key's decoded share, for slot k's group (of = 0) or its base (of = 1)."""
-        return k * self.width + self.rungs + of * len(self._column) + self._column[key]
+    def _keyframe(self, k: int, of: int, keyframe: _Keyframe) -> int:
+        """Return the column of a keyframe's decoded share, for slot k's group (of = 0) or its base (of = 1)."""
+        return k * self.width + self.rungs + of * len(self._column) + self._column[keyframe]
 
-    def _keys(self, k: int) -> Iterator[tuple[int, int, _Key]]:
-        """Yield all keys that a slot may need: 0 for its group or 1 for its base, the group, and (quality, tier)."""
+    def _keyframes(self, k: int) -> Iterator[tuple[int, int, _Keyframe]]:
+        """Yield all keyframes that a slot may need: 0 for its group or 1 for its base, the group, and (quality, tier)."""
         for of, group in enumerate(self._groups[k]):
             if group is not None:
                 yield from ((of, group, key) for key in self._column)
 
-    def _before(self, k: int, of: int, key: _Key) -> int | None:
-        """Return the column of the same key in the last slot before k that may need it; None if no earlier one does."""
+    def _before(self, k: int, of: int, keyframe: _Keyframe) -> int | None:
+        """Return the column of the same keyframe in the last slot before k that may need it; None if no earlier one does."""
         if of == 0:
-            return self._key(k - 1, of, key) if k and not self._offers[k].starts_group else None
+            return self._keyframe(k - 1, of, keyframe) if k and not self._offers[k].starts_group else None
         group = self._groups[k][of]
         for i in range(k - 1, -1, -1):
             if self._loops[i] != self._loops[k]:
                 break
             if group in self._groups[i]:
-                return self._key(i, self._groups[i].index(group), key)
+                return self._keyframe(i, self._groups[i].index(group), keyframe)
         return None
 
     def rows(self, k: int) -> Iterator[Row]:
-        """Yield the constraints of slot k: one rung with its keys, whose bytes follow its release and slot k - 1."""
+        """Yield the constraints of slot k: one rung with its keyframes, whose bytes follow its release and slot k - 1."""
         slot, first, carried = self._horizon.slots[k], k * self.width, (k + 1) * self.width - 1
         yield [(first + rung, 1.0) for rung in range(self.rungs)], 1.0, 1.0
-        users: dict[Key, Terms] = defaultdict(list)  # minus the share of every rung that needs a key
+        users: dict[Keyframe, Terms] = defaultdict(list)  # minus the share of every rung that needs a keyframe
         for number, rung in enumerate(slot.offer.rungs):
-            for needed in rung.keys:
-                users[needed.key].append((first + number, -1.0))
-        for of, group, key in self._keys(k):
-            share, before, using = self._key(k, of, key), self._before(k, of, key), users[group, *key]
+            for needed in rung.keyframes:
+                users[needed.keyframe].append((first + number, -1.0))
+        for of, group, keyframe in self._keyframes(k):
+            share, before, using = (
+                self._keyframe(k, of, keyframe),
+                self._before(k, of, keyframe),
+                users[group, *keyframe],
+            )
             if using:
                 yield [(share, 1.0), *using], 0.0, np.inf
             if before is not None:
@@ -166,12 +173,12 @@ class _Programme:
     def fetched(self, k: int) -> Terms:
         """Return the bytes fetched for slot k, in units, as coefficients of the variables."""
         rungs = self._offers[k].rungs
-        fetched = [(k * self.width + number, rung.state_bytes / self.unit) for number, rung in enumerate(rungs)]
-        for of, group, key in self._keys(k):
-            if not self._loops[k] and (group, *key) in self._horizon.decoded:
+        fetched = [(k * self.width + number, rung.delta_bytes / self.unit) for number, rung in enumerate(rungs)]
+        for of, group, keyframe in self._keyframes(k):
+            if not self._loops[k] and (group, *keyframe) in self._horizon.decoded:
                 continue
-            size, before = self._bytes.get((group, *key), 0) / self.unit, self._before(k, of, key)
-            fetched.append((self._key(k, of, key), size))
+            size, before = self._bytes.get((group, *keyframe), 0) / self.unit, self._before(k, of, keyframe)
+            fetched.append((self._keyframe(k, of, keyframe), size))
             if before is not None:
                 fetched.append((before, -size))
         return fetched

@@ -24,8 +24,8 @@ class BatchKind(StrEnum):
     """What a batch was requested for; the values are the names in reports."""
 
     TABLES = "tables"  # airgs.json, pages of the index and tables of groups
-    GROUP = "group"  # the next segment, with keys of its group
-    STATE = "state"  # the next segment, whose keys are decoded
+    GROUP = "group"  # the next segment, with keyframes of its group
+    DELTA = "delta"  # the next segment, whose keyframes are decoded
     REPLACEMENT = "replacement"  # a better rung of a buffered segment
 
 
@@ -67,8 +67,8 @@ class Arrival:
 
     @property
     def usable(self) -> tuple[str, ...]:
-        """Return the files that can be used: a state segment is dropped unless its batch is complete."""
-        return self.whole if self.complete else tuple(p for p in self.whole if p not in self.request.batch.state)
+        """Return the files that can be used: a delta segment is dropped unless its batch is complete."""
+        return self.whole if self.complete else tuple(p for p in self.whole if p not in self.request.batch.delta)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What a player asks for and what comes of it: tables, decoded keys, and what is learned of the link on the way."""
+"""What a player asks for and what comes of it: tables, decoded keyframes, and what is learned of the link on the way."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.tables import PAGE
 from airgs_codec.play.downloader import Arrival, Arrived, BatchKind, Downloader, GiveUp, Partial, Request
 from airgs_codec.play.ladder import Decision, Option
-from airgs_codec.play.offers import NONE, Batch, Key, Keys, Offers, SegmentOffer
+from airgs_codec.play.offers import NONE, Batch, Keyframe, Keyframes, Offers, SegmentOffer
 from airgs_codec.play.playout import SessionSettings
 from airgs_codec.play.policies import Coming, Download, Policy
 
@@ -96,7 +96,9 @@ class Fetcher:
     first: Download = NOTHING  # the fastest of tables and poster, the wait for its first byte included
     unusable: set[str] = field(default_factory=set)  # files found missing or corrupt
     given_up: tuple[int, int] = (-1, 0)  # position and size: nothing as large is asked for there again
-    _keys: dict[int, set[Key]] = field(default_factory=dict)  # decoded, by loop: what is played again is fetched again
+    _keyframes: dict[int, set[Keyframe]] = field(
+        default_factory=dict
+    )  # decoded, by loop: what is played again is fetched again
 
     def __post_init__(self) -> None:
         self.tables = TableStore(self.offers)
@@ -113,11 +115,11 @@ class Fetcher:
     def offer(self, position: int) -> SegmentOffer:
         return self.offers.offer(self.offers.place(position)[1], self.settings.budget)
 
-    def decoded(self, loop: int) -> Keys:
-        return self._keys.get(loop, NONE)
+    def decoded(self, loop: int) -> Keyframes:
+        return self._keyframes.get(loop, NONE)
 
     def upcoming(self, positions: range) -> Iterator[Coming]:
-        """Yield the offers of positions until a table is missing, each with the keys decoded in its loop."""
+        """Yield the offers of positions until a table is missing, each with the keyframes decoded in its loop."""
         for position in positions:
             try:
                 offer = self.offer(position)
@@ -149,9 +151,9 @@ class Fetcher:
             took_s = max(arrival.at_s - arrival.first_byte_s, SHORTEST_S)
             self.downloads = [*self.downloads[1 - REMEMBERED :], (arrival.at_s, Download(arrival.bytes, took_s))]
             arrived = silent.union(arrival.usable)
-            needed = self.offer(request.position).rungs[request.rung].keys
-            decoded = self._keys.setdefault(self.loop(request.position), set())
-            decoded.update(of.key for of in needed if arrived.issuperset(of.files))
+            needed = self.offer(request.position).rungs[request.rung].keyframes
+            decoded = self._keyframes.setdefault(self.loop(request.position), set())
+            decoded.update(of.keyframe for of in needed if arrived.issuperset(of.files))
         return arrival
 
     @property

@@ -3,7 +3,7 @@
 Where Algorithm 1 divides by zero, returns a level that does not fit or leaves its answer undefined, the comment names
 the case: first drop zero (1, 2), tiny (3), quality that rises when pruning (4), slow slides (5), the first level (6),
 nothing fits (7, 8), sizes that do not fall (9), one level or none (10), NaN and infinite quality (11), bad budgets
-(12), units (13: everything here is bytes), the level that sends nothing (14: not in a ladder), keys (15: chosen
+(12), units (13: everything here is bytes), the level that sends nothing (14: not in a ladder), keyframes (15: chosen
 over the buffer, see session), level 0 (16: no different from the others).
 """
 

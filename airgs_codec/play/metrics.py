@@ -31,7 +31,7 @@ from airgs_codec.play.playout import SessionSettings
 from airgs_codec.play.policies import STALL_DB
 from airgs_codec.play.trace import Link
 
-NEXT = (BatchKind.GROUP, BatchKind.STATE)  # batches of the segment that comes next
+NEXT = (BatchKind.GROUP, BatchKind.DELTA)  # batches of the segment that comes next
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,15 +116,15 @@ class SessionLog:
     def of(
         events: Iterable[Event], offers: Offers, policy: str, settings: SessionSettings, link: Link | None = None
     ) -> SessionLog:
-        """Fold events into a log. The state of a replaced rung counts as wasted; its keys do not, they stay decoded."""
+        """Fold events into a log. The delta of a replaced rung counts as wasted; its keyframes do not, they stay decoded."""
         arrived: list[Arrived] = []
         shown: list[Shown] = []
         lost: list[str] = []
         retried: list[str] = []
         by_kind: Counter[FileKind] = Counter()
         used: set[int] = set()  # batches on the timeline, by their place in `arrived`
-        in_vain: Counter[int] = Counter()  # bytes of state that a batch brought
-        brought: dict[int, int] = {}  # position -> the batch that brought its state
+        in_vain: Counter[int] = Counter()  # bytes of delta that a batch brought
+        brought: dict[int, int] = {}  # position -> the batch that brought its delta
         for event in events:
             match event:
                 case Arrived(arrival):
@@ -142,7 +142,7 @@ class SessionLog:
                     before, after = rungs[event.before], rungs[event.after]
                     if before.level != after.level:
                         if position in brought:  # else the level had nothing to fetch
-                            in_vain[brought[position]] += before.state_bytes
+                            in_vain[brought[position]] += before.delta_bytes
                         brought[position] = len(arrived) - 1
                 case Lost(position, at_s):
                     start, stop = offers.span(offers.place(position)[1])

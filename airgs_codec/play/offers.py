@@ -1,8 +1,8 @@
 """What a package offers a viewer: for each segment one frozen value, which players, policies, bounds and studies read.
 
-R rungs. A rung is a key quality with a level; rungs are numbered quality by quality. A key is a key tier of a group in
-a key quality, which is fetched and decoded once. A position is a segment of a session, which may play the sequence
-several times. Wire bytes are those of files with `header_bytes` for each.
+R rungs. A rung is a keyframe quality with a level; rungs are numbered quality by quality. A keyframe is a keyframe tier
+of a group in a keyframe quality, which is fetched and decoded once. A position is a segment of a session, which may
+play the sequence several times. Wire bytes are those of files with `header_bytes` for each.
 """
 
 from __future__ import annotations
@@ -27,45 +27,47 @@ HEADER_BYTES = 350  # HTTP response headers a file
 RETAINED = 4096  # offers, and sizes of files, that are not made again
 OVER_BUDGET = 1 << 50  # bytes of a rung that shows too many Gaussians: more than any link carries
 
-Key = tuple[int, int, int]  # group, key quality, key tier
-Keys = AbstractSet[Key]
-NONE: Keys = frozenset()
+Keyframe = tuple[int, int, int]  # group, keyframe quality, keyframe tier
+Keyframes = AbstractSet[Keyframe]
+NONE: Keyframes = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
     """Paths of the files that are requested together, in the order in which they arrive."""
 
-    keys: tuple[str, ...] = ()
-    state: tuple[str, ...] = ()
+    keyframes: tuple[str, ...] = ()
+    delta: tuple[str, ...] = ()
     tables: tuple[str, ...] = ()  # for what comes next
 
     @property
     def files(self) -> tuple[str, ...]:
-        return self.keys + self.state + self.tables
+        return self.keyframes + self.delta + self.tables
 
 
 @dataclass(frozen=True, slots=True)
-class KeyOffer:
-    """A key, or the sound of a group, whose tier is the one behind all key tiers and whose quality is 0."""
+class KeyframeOffer:
+    """A keyframe, or the sound of a group, whose tier is the one behind all keyframe tiers and whose quality is 0."""
 
-    key: Key
+    keyframe: Keyframe
     files: tuple[str, ...]  # none where it has no rows
     bytes: int  # on the wire
 
 
 @dataclass(frozen=True, slots=True)
 class RungOffer:
-    quality: int  # of the keys
+    quality: int  # of the keyframes
     level: int
     psnr: float  # dB; 0 where it was not measured
     delta_e: float  # mean colour difference CIEDE2000; NaN where it was not measured
     gaussians: int  # that a picture shows
     allowed: bool  # whether the budget has as many
-    saved: float  # share of the first level's state that its level saves
-    keys: tuple[KeyOffer, ...]  # sound, then of every key tier that of the group and that of the base, if any
-    state: tuple[str, ...]  # files
-    state_bytes: int  # on the wire
+    saved: float  # share of the first level's delta that its level saves
+    keyframes: tuple[
+        KeyframeOffer, ...
+    ]  # sound, then of every keyframe tier that of the group and that of the base, if any
+    delta: tuple[str, ...]  # files
+    delta_bytes: int  # on the wire
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +75,7 @@ class SegmentOffer:
     segment: int  # in the package
     seconds: float  # of play
     group: int
-    base: int | None  # the group that the keys of the group are differences to
+    base: int | None  # the group that the keyframes of the group are differences to
     starts_group: bool
     rungs: tuple[RungOffer, ...]
 
@@ -83,46 +85,46 @@ class SegmentOffer:
 
     @cached_property
     def levels(self) -> tuple[Option, ...]:
-        """Return the levels with the bytes of their states and their quality with the finest keys."""
+        """Return the levels with the bytes of their deltas and their quality with the finest keyframes."""
         finest = [rung for rung in self.rungs if rung.quality == 0]
-        return tuple(Option(rung.level, rung.state_bytes, rung.psnr, rung.saved) for rung in finest)
+        return tuple(Option(rung.level, rung.delta_bytes, rung.psnr, rung.saved) for rung in finest)
 
-    def sizes(self, decoded: Keys) -> list[int]:
-        """Return (R,) wire bytes of the state and of keys not yet decoded; OVER_BUDGET if the rung is not allowed."""
+    def sizes(self, decoded: Keyframes) -> list[int]:
+        """Return (R,) wire bytes of the delta and of keyframes not yet decoded; OVER_BUDGET if the rung is not allowed."""
         return [
-            rung.state_bytes + sum(offer.bytes for offer in rung.keys if offer.key not in decoded)
+            rung.delta_bytes + sum(offer.bytes for offer in rung.keyframes if offer.keyframe not in decoded)
             if rung.allowed
             else OVER_BUDGET
             for rung in self.rungs
         ]
 
-    def options(self, decoded: Keys) -> tuple[Option, ...]:
+    def options(self, decoded: Keyframes) -> tuple[Option, ...]:
         sizes = self.sizes(decoded)
         return tuple(Option(r, sizes[r], o.psnr, o.saved) for r, o in enumerate(self.rungs) if o.allowed)
 
-    def missing(self, rung: int, decoded: Keys) -> Batch:
+    def missing(self, rung: int, decoded: Keyframes) -> Batch:
         offer = self.rungs[rung]
-        keys = tuple(path for of in offer.keys if of.key not in decoded for path in of.files)
-        return Batch(keys, offer.state)
+        keyframes = tuple(path for of in offer.keyframes if of.keyframe not in decoded for path in of.files)
+        return Batch(keyframes, offer.delta)
 
-    def bytes_after(self, before: SegmentOffer, known: Keys) -> NDArray[np.int64]:
+    def bytes_after(self, before: SegmentOffer, known: Keyframes) -> NDArray[np.int64]:
         """Return (R or 1, R) wire bytes of every rung by the rung of the previous segment; one row if it is irrelevant.
 
-        At the start of a group, keys that are `known` need not be fetched.
+        At the start of a group, keyframes that are `known` need not be fetched.
         """
         if not self.starts_group:
             return self._within_group
         if self.base is None or self.base not in (before.group, before.base):
             return np.array([self.sizes(known)])
-        return np.array([self.sizes(known | keys) for keys in before._keys])
+        return np.array([self.sizes(known | keyframes) for keyframes in before._keyframes])
 
     @cached_property
-    def _keys(self) -> list[frozenset[Key]]:
-        return [frozenset(offer.key for offer in rung.keys) for rung in self.rungs]
+    def _keyframes(self) -> list[frozenset[Keyframe]]:
+        return [frozenset(offer.keyframe for offer in rung.keyframes) for rung in self.rungs]
 
     @cached_property
     def _within_group(self) -> NDArray[np.int64]:
-        return np.array([self.sizes(keys) for keys in self._keys])
+        return np.array([self.sizes(keyframes) for keyframes in self._keyframes])
 
 
 class Offers:
@@ -170,14 +172,17 @@ class Offers:
         m = self.manifest
         group, found = m.group_of(segment), m.segments[segment]
         base, counts = m.base_of(group), [tier.count for tier in m.groups[group].tiers]
-        states = [tuple(m.state_files(segment, j)) for j in range(len(m.levels))]
-        sizes = [self.wire_bytes(files) for files in states]
+        deltas = [tuple(m.delta_files(segment, j)) for j in range(len(m.levels))]
+        sizes = [self.wire_bytes(files) for files in deltas]
         saved = saved_shares(sizes)
-        sound = [self._key((group, 0, m.tiers), m.sound_files(group))] if m.sound else []
+        sound = [self._keyframe((group, 0, m.tiers), m.sound_files(group))] if m.sound else []
         rungs = []
         for q in range(len(m.qualities)):
-            keys = [
-                [self._key((g, q, tier), m.key_files(g, tier, q)) for g in ([group] if base is None else [group, base])]
+            keyframes = [
+                [
+                    self._keyframe((g, q, tier), m.keyframe_files(g, tier, q))
+                    for g in ([group] if base is None else [group, base])
+                ]
                 for tier in range(m.tiers)
             ]
             for j, level in enumerate(found.levels):
@@ -187,13 +192,13 @@ class Offers:
                 psnr = float(level.psnr[q]) if level.psnr else 0.0
                 delta_e = float(level.delta_e[q]) if level.delta_e else np.nan
                 allowed = budget is None or rows <= budget
-                rungs.append(RungOffer(q, j, psnr, delta_e, rows, allowed, saved[j], needed, states[j], sizes[j]))
+                rungs.append(RungOffer(q, j, psnr, delta_e, rows, allowed, saved[j], needed, deltas[j], sizes[j]))
         starts_group = segment == m.segments_of(group)[0]
         seconds = (found.stop - found.start) / self.fps
         return SegmentOffer(segment, seconds, group, base, starts_group, tuple(rungs))
 
-    def _key(self, key: Key, files: list[str]) -> KeyOffer:
-        return KeyOffer(key, tuple(files), self.wire_bytes(files))
+    def _keyframe(self, keyframe: Keyframe, files: list[str]) -> KeyframeOffer:
+        return KeyframeOffer(keyframe, tuple(files), self.wire_bytes(files))
 
     @property
     def rungs(self) -> list[tuple[int, int]]:

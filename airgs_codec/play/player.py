@@ -1,17 +1,17 @@
 """A player: requests, arrivals, choices and what is on the screen, as a stream of events. `run` starts one.
 
-One batch passes at a time: those keys of the chosen rung that are not decoded, in tier order, then the state segment. A
-download that would come too late is abandoned when a smaller one would come sooner; whole key files that have arrived
-are decoded. A segment none of whose rungs can be had is lost: the last picture stands for its time, and the session
-goes on. When nothing more fits the buffer, a buffered segment may be replaced by a better rung (with it better keys of
-its group) as long as it will be there in time.
+One batch passes at a time: those keyframes of the chosen rung that are not decoded, in tier order, then the delta
+segment. A download that would come too late is abandoned when a smaller one would come sooner; whole keyframe files
+that have arrived are decoded. A segment none of whose rungs can be had is lost: the last picture stands for its time,
+and the session goes on. When nothing more fits the buffer, a buffered segment may be replaced by a better rung (with it
+better keyframes of its group) as long as it will be there in time.
 
 What a batch offers stands in the table of its group: those of the first segments that the policy looks at are fetched
 before the first batch, later ones with the batch before. A segment whose table cannot be had is lost. Rungs that show
 more Gaussians than the budget are as if they could not be had.
 
-The sequence may be played several times, as if it were longer: keys and states are fetched again, tables are not. One
-that grows is played as it grows: airgs.json is fetched again a group's length after the last time, later and later
+The sequence may be played several times, as if it were longer: keyframes and deltas are fetched again, tables are not.
+One that grows is played as it grows: airgs.json is fetched again a group's length after the last time, later and later
 where it has not changed, until it says that nothing will follow, or nothing has followed for SILENCE_S; what is over
 is forgotten. Times are seconds from the first request.
 """
@@ -143,12 +143,12 @@ class Player:
         batch = replace(f.missing(position, rung), tables=ahead)
         if not batch.files:  # nothing moves: the canonical space is decoded
             return True
-        kind = BatchKind.GROUP if batch.keys else BatchKind.STATE
+        kind = BatchKind.GROUP if batch.keyframes else BatchKind.STATE
         request = Request(kind, position, rung, batch, f.sent_s(state.request_latency_s), state.request_latency_s)
         size = next(o.size_bytes for o in state.options if o.index == rung)
         give_up = f.give_up(state.deadline_s, size, min(o.size_bytes for o in state.options))
         arrival = f.receive(request, give_up)
-        self._use_keys(request)
+        self._use_keyframes(request)
         yield Arrived(arrival, decision, budget_bytes(state), state.throughput_bps)
         if arrival.abandoned:
             f.given_up = position, size
@@ -201,7 +201,7 @@ class Player:
             batch, rtt_s = self._replacing(slot, option.index), f.downloader.rtt_s
             request = Request(BatchKind.REPLACEMENT, slot.position, option.index, batch, f.now_s, rtt_s)
             arrival = f.receive(request)
-            self._use_keys(request)
+            self._use_keyframes(request)
             yield Arrived(arrival, Decision(option.index, True, reason, option.size_bytes), 0.0, estimate_bps)
             if arrival.complete and f.now_s + f.settings.decode_frame_s <= slot.start_s:
                 yield Replaced(slot.position, slot.rung, option.index)
@@ -219,20 +219,20 @@ class Player:
                 gain = option.quality - here.psnr
                 if gain < REPLACE_GAIN_DB:
                     continue
-                size = option.size_bytes  # the state is decoded where only the keys would be better
-                size -= here.state_bytes if offer.rungs[option.index].level == here.level else 0
+                size = option.size_bytes  # the state is decoded where only the keyframes would be better
+                size -= here.delta_bytes if offer.rungs[option.index].level == here.level else 0
                 if free_s + 8 * size / rate_bps + f.settings.decode_frame_s > slot.start_s:
                     continue
                 if not f.unusable or f.unusable.isdisjoint(self._replacing(slot, option.index).files):
                     yield gain * slot.seconds / max(1, size), slot, option
 
     def _replacing(self, slot: Slot, rung: int) -> Batch:
-        """Return the files for another rung of a buffered segment; only keys if its level stays."""
+        """Return the files for another rung of a buffered segment; only keyframes if its level stays."""
         offer, batch = self.fetcher.offer(slot.position), self.fetcher.missing(slot.position, rung)
-        return Batch(batch.keys) if offer.rungs[rung].level == offer.rungs[slot.rung].level else batch
+        return Batch(batch.keyframes) if offer.rungs[rung].level == offer.rungs[slot.rung].level else batch
 
-    def _use_keys(self, request: Request) -> None:
-        """Give buffered segments of the same group the quality of new keys, if decoded in time."""
+    def _use_keyframes(self, request: Request) -> None:
+        """Give buffered segments of the same group the quality of new keyframes, if decoded in time."""
         f = self.fetcher
         loop, here = f.loop(request.position), f.offer(request.position)
         quality, ready_s = here.rungs[request.rung].quality, f.now_s + f.settings.decode_frame_s
@@ -240,5 +240,5 @@ class Player:
             if slot.start_s < ready_s or offer.group != here.group or f.loop(slot.position) != loop:
                 continue
             better = quality * len(offer.levels) + offer.rungs[slot.rung].level
-            if better < slot.rung and all(of.key in f.decoded(loop) for of in offer.rungs[better].keys):
+            if better < slot.rung and all(of.keyframe in f.decoded(loop) for of in offer.rungs[better].keyframes):
                 slot.rung = better

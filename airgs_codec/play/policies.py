@@ -23,7 +23,7 @@ from airgs_codec._arguments import argument, brief
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 from airgs_codec.play.ladder import DEFAULT_BETA, Decision, Option, build_ladder, frame_budget, select, select_literal
-from airgs_codec.play.offers import Keys, Offers, SegmentOffer
+from airgs_codec.play.offers import Keyframes, Offers, SegmentOffer
 from airgs_codec.play.trace import Link
 
 SAFETY = 0.9  # share of the estimated throughput that is spent
@@ -48,7 +48,9 @@ class Download:
     seconds: float  # from the first byte to the last
 
 
-Coming = tuple[SegmentOffer, Keys]  # of this segment and each after it, while tables are there: what is decoded for it
+Coming = tuple[
+    SegmentOffer, Keyframes
+]  # of this segment and each after it, while tables are there: what is decoded for it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +60,7 @@ class PlayerState:
     position: int  # of the segment in the session
     offer: SegmentOffer
     upcoming: Callable[[], Iterator[Coming]]
-    decoded: Keys  # in this loop over the sequence
+    decoded: Keyframes  # in this loop over the sequence
     options: tuple[Option, ...]  # every rung that can be had, with its wire bytes
     now_s: float
     deadline_s: float  # when it must arrive to be shown in time; in the past when the player waits
@@ -175,12 +177,12 @@ def choose_paper(state: PlayerState) -> Decision:
     """Run Algorithm 1 over the sizes and qualities of this very segment; if no rung is before the cliff, over all.
 
     The dense level space of Algorithm 1 is here what a package has of it: the levels of the segment with the finest
-    keys, by the bytes of their states. A segment of two levels has a cliff only where the second is 3 dB worse per
-    10 % of the bytes saved; of one level, none. Key qualities have no cliff: they are not updates withheld.
+    keyframes, by the bytes of their states. A segment of two levels has a cliff only where the second is 3 dB worse per
+    10 % of the bytes saved; of one level, none. Keyframe qualities have no cliff: they are not updates withheld.
     """
     rungs = state.offer.rungs
     least = build_ladder(state.offer.levels)[-1].size_bytes
-    enough = tuple(p for p in state.options if rungs[p.index].state_bytes >= least)
+    enough = tuple(p for p in state.options if rungs[p.index].delta_bytes >= least)
     return choose_paper_no_cliff(replace(state, options=enough or state.options))
 
 
@@ -192,8 +194,8 @@ def choose_paper_no_cliff(state: PlayerState) -> Decision:
 def choose_paper_literal(state: PlayerState, beta: float = DEFAULT_BETA) -> Decision:
     """Run Algorithm 1 as printed: C = B / R over the segment, without buffer, round trip or safety factor.
 
-    Its levels are the rungs with the finest keys, whole group keys in the sizes. No drop is a cliff where beta is inf.
-    Where it leaves its answer undefined, the last level is chosen.
+    Its levels are the rungs with the finest keyframes, whole group keyframes in the sizes. No drop is a cliff where
+    beta is inf. Where it leaves its answer undefined, the last level is chosen.
     """
     levels = [p for p in state.options if state.offer.rungs[p.index].quality == 0] or list(state.options)
     budget = frame_budget(state.throughput_bps, 1 / state.segment_s)
@@ -348,7 +350,7 @@ NAMES = (*ADAPTIVE, *ORACLES)
 
 
 def make_policy(policy: Policy | Choose | str, offers: Offers, link: Link | None = None) -> Policy:
-    """Make a policy of a name, fixed:J (level J with the finest keys), fixed:RUNG (such as Q1+L3) or a function.
+    """Make a policy of a name, fixed:J (level J with the finest keyframes), fixed:RUNG (such as Q1+L3) or a function.
 
     A value is returned as it is. The oracles need the link. Raises ConfigError for other names, and for an oracle
     without a link.

@@ -133,8 +133,8 @@ def _trace_words(log: SessionLog) -> str:
 def rung_record(log: SessionLog) -> list[dict[str, Any]]:
     """Return every rung with its rate, claimed quality, None where not measured, and how many segments showed it."""
     m, record = log.offers.manifest, []
-    for rung, (key_quality, level) in zip(rungs_of(m, 0), log.offers.rungs, strict=True):
-        claim, mbps = quality_of(m, level, key_quality), 8e-6 * rung.bytes / log.offers.duration_s
+    for rung, (keyframe_quality, level) in zip(rungs_of(m, 0), log.offers.rungs, strict=True):
+        claim, mbps = quality_of(m, level, keyframe_quality), 8e-6 * rung.bytes / log.offers.duration_s
         row = {"rung": rung.name, "psnr": rung.psnr, "low": claim.low if claim else None, "mbps": mbps}
         record.append(row | {"on_ladder": rung.best, "shown": log.metrics.rungs.get(rung.name, 0)})
     return record
@@ -162,7 +162,7 @@ def find_waits(log: SessionLog) -> dict[str, float]:
 
 
 def answer(log: SessionLog) -> dict[str, str]:
-    """Return what a session comes to in whole sentences, by the keys of HEADS."""
+    """Return what a session comes to in whole sentences, by the keyframes of HEADS."""
     m, waits, record, bound = log.metrics, find_waits(log), rung_record(log), _bound(log)
     good, wrong = "The package was not measured: how good its pictures are is not known.", []
     if m.psnr_mean is not None:
@@ -199,7 +199,9 @@ def beaten_words(on_ladder: Mapping[str, bool]) -> str:
         return ""
     used = {part for name, on in on_ladder.items() if on for part in name.split("+")}
     idle = sorted({part for name in beaten for part in name.split("+")} - used)
-    room = f"{listed(idle)} could be left out of the package" if idle else "their keys and states are parts of others"
+    room = (
+        f"{listed(idle)} could be left out of the package" if idle else "their keyframes and deltas are parts of others"
+    )
     return f"No player should fetch {listed(beaten)}: others show more for the same bytes; {room}."
 
 

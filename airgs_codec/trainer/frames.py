@@ -129,7 +129,7 @@ def told_of_run(capture: Capture, progress: Progress) -> Callable[[int], Progres
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fitted:
     shown: InMotion
-    kind: str  # first | frame | key
+    kind: str  # first | frame | keyframe
     psnr: float  # dB, mean over training views
     group: Group
     added: int = 0
@@ -185,10 +185,10 @@ def train_chunk(
         begun, left = time.perf_counter(), range(frame, frames.stop)
         if at is None:
             before, target = InMotion(first), capture.pictures.target(frame, 0)
-            key = _new_key(
+            key = _new_keyframe(
                 capture, target, before, trainer.steps(first, capture.pictures.at_rest(0)[0]), left, told(frame)
             )
-            fitted = _begun(trainer, "key", key, target.views, len(first))
+            fitted = _begun(trainer, "keyframe", key, target.views, len(first))
         else:
             fitted = _fit_next(capture, capture.pictures.target(frame, frame - 1), *at, left, told(frame))
         at = fitted.shown if fitted.kind == "frame" else InMotion(fitted.shown.gaussians), fitted.group
@@ -235,19 +235,19 @@ def _fit_next(
     known = first if group.second_psnr is None else group.second_psnr
     if psnr >= s.min_psnr_db and psnr >= known - s.max_drop_db:
         return fitted
-    key = _new_key(capture, target, before, group.steps, left, progress)
-    key_psnr = mean_psnr(key, target.views, trainer.renderer)
-    if s.keep_better and key_psnr <= psnr:
-        return replace(fitted, rejected_psnr=key_psnr)
-    return replace(_begun(trainer, "key", key, target.views, len(g)), rejected_psnr=psnr)
+    key = _new_keyframe(capture, target, before, group.steps, left, progress)
+    keyframe_psnr = mean_psnr(key, target.views, trainer.renderer)
+    if s.keep_better and keyframe_psnr <= psnr:
+        return replace(fitted, rejected_psnr=keyframe_psnr)
+    return replace(_begun(trainer, "keyframe", key, target.views, len(g)), rejected_psnr=psnr)
 
 
-def _new_key(
+def _new_keyframe(
     capture: Capture, target: FrameViews, before: InMotion, steps: Parameters, left: range, progress: Progress
 ) -> InMotion:
     if capture.scene.given is None:
         return capture.trainer.fit_keyframe(capture.pictures.key(target), before, steps, progress)
-    return InMotion(_given_key(capture, target, before, left, progress))
+    return InMotion(_given_keyframe(capture, target, before, left, progress))
 
 
 def _begun(trainer: Trainer, kind: str, found: InMotion, views: Sequence[View], before: int | None = None) -> _Fitted:
@@ -277,7 +277,9 @@ def _trained(capture: Capture, frame: int, fitted: _Fitted, begun: float) -> Tra
     return TrainedFrame(shown.gaussians, record, networks.arrays() if networks else None)
 
 
-def _given_key(capture: Capture, target: FrameViews, before: InMotion, left: range, progress: Progress) -> Gaussians:
+def _given_keyframe(
+    capture: Capture, target: FrameViews, before: InMotion, left: range, progress: Progress
+) -> Gaussians:
     """The Gaussians of the frame before with what they lack, or those that are given where that does not show all."""
     trainer, given = capture.trainer, capture.given(target.frame)
     g = _follow_given(capture, target, before)
@@ -360,7 +362,7 @@ def fit_common(
     shown = [replace(view, after=float(frame)) for frame, of in enumerate(views) for view in of]
     frames = [from_gaussians(g, trainer.device) for g in poses]
     variables, s = Carried(frames[0], trainer.extent, COMMON_RATES, frames=frames), trainer.settings
-    schedule = Schedule("what frames share", s.key_iterations, lambda _: s.sh_degree, ssim_weight=s.ssim_weight)
+    schedule = Schedule("what frames share", s.keyframe_iterations, lambda _: s.sh_degree, ssim_weight=s.ssim_weight)
     optimise(variables, shown, schedule, np.random.default_rng(s.seed), None, progress)
     return to_gaussians(variables.detached())
 

@@ -171,7 +171,7 @@ def fit_chunk(
     capture = Capture.of(scene, settings, device, plates).with_first(*first)
     trained = tuple(train_chunk(capture, range(*span), first[0]))
     known = {0: first[0]} | {t.record.frame: t.gaussians for t in trained}
-    starts = sorted({span[0], *(t.record.frame for t in trained if t.record.kind == "key")})
+    starts = sorted({span[0], *(t.record.frame for t in trained if t.record.kind == "keyframe")})
     groups = list(zip(starts, [*starts[1:], span[1]], strict=True))
     return trained, {group: capture.usage(known.__getitem__, group) for group in groups}
 

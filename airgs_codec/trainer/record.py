@@ -45,7 +45,7 @@ class FrameRecord:
     """One trained frame. Each PSNR is the mean over views of each view's PSNR."""
 
     frame: int
-    kind: str  # first | frame | key
+    kind: str  # first | frame | keyframe
     gaussians: int
     added: int  # by a keyframe
     psnr: float  # dB, training views

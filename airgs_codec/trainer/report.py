@@ -110,7 +110,7 @@ def training_answer(record: Record, camera: str) -> dict[str, str]:
 def _draw(record: Record, figure: Any) -> None:
     axis, frames = figure.subplots(), [r.frame for r in record.frames]
     for r in record.frames:
-        if r.kind == "key":
+        if r.kind == "keyframe":
             axis.axvline(r.frame, color=RED, alpha=0.4, linewidth=1)
     for name, form, colour, words in (
         ("psnr", "o-", BLUE, "trained on"),

@@ -47,7 +47,7 @@ RANGES: tuple[tuple[str, Check, str], ...] = (
     ("budget", lambda v: v >= 1, "a budget of at least one Gaussian"),
     ("sh_degree", lambda v: 0 <= v < len(SH_REST), "an SH degree of 0 to 3"),
     ("first_iterations", lambda v: v >= 1, "at least one iteration of a first frame"),
-    ("key_iterations", lambda v: v >= 1, "at least one iteration of a keyframe"),
+    ("keyframe_iterations", lambda v: v >= 1, "at least one iteration of a keyframe"),
     ("frame_iterations", lambda v: v >= 1, "at least one iteration of a frame"),
     ("group_frames", lambda v: v >= 1, "chunks of at least one frame"),
     ("iteration_views", lambda v: v >= 1, "at least one picture an iteration"),
@@ -80,7 +80,7 @@ class TrainSettings:
     first_iterations: int | None = setting(
         None, f"iterations of the first frame; None: {FIRST}, at least {FIRST_A_VIEW} a view", default=FIRST
     )
-    key_iterations: int = setting(1000, "iterations of a keyframe")
+    keyframe_iterations: int = setting(1000, "iterations of a keyframe")
     frame_iterations: int = setting(300, "iterations of a frame in a group")
     iteration_views: int = setting(1, "pictures that an iteration sees", default="1; 4 on CUDA")
     deltas: str = setting(

@@ -81,7 +81,7 @@ def track_settings(sequence: GaussianSequence) -> TrainSettings:
         budget=MANY,
         capacity=MANY,
         sh_degree=sequence.sh_degree,
-        key_iterations=300,
+        keyframe_iterations=300,
         frame_iterations=250,
         group_frames=CHUNK,
         min_psnr_db=28.0,

@@ -181,7 +181,7 @@ def test_errors_of_the_size_of_a_step_make_the_error_that_was_predicted(measured
 
 def test_the_cost_of_withholding_is_the_rendered_one(measured):
     frame, cameras, s = measured
-    steps = faces.StateSteps(means=1e-4, quaternions=0.01, log_scales=0.02, opacity=1e-3, sh_dc=0.01, sh_rest=0.01)
+    steps = faces.DeltaSteps(means=1e-4, quaternions=0.01, log_scales=0.02, opacity=1e-3, sh_dc=0.01, sh_rest=0.01)
     classes = motion_classes(s.means, 1e-2 * float(np.median(s.means)))
     channels = 10 + 3 * (1 + frame.sh_rest.shape[1])
     moved = np.random.default_rng(0).normal(0, 1, (1, channels, len(frame)))

@@ -33,10 +33,10 @@ def refusal(capsys, *options):
 @pytest.mark.parametrize("key", KEYS)
 def test_a_file_is_one_frame_of_a_rung(tmp_path, key, capsys):
     path = tmp_path / "new" / f"fox.{key}"
-    assert run("-o", path, "--frames", "2", "--level", "L1", "--key-quality", "Q1", "--json") == 0
+    assert run("-o", path, "--frames", "2", "--level", "L1", "--keyframe-quality", "Q1", "--json") == 0
     report = json.loads(capsys.readouterr().out)
     assert (report["format"], report["frames"], report["output"]) == (key, [2, 3], str(path))
-    expected = faces.decode(open_package(FOX), 2, level="L1", key_quality="Q1")
+    expected = faces.decode(open_package(FOX), 2, level="L1", keyframe_quality="Q1")
     back = read_frame(path)
     assert len(back) == len(expected) and [p.name for p in path.parent.iterdir()] == [path.name]
     np.testing.assert_allclose(np.sort(back.means, axis=0), np.sort(expected.means, axis=0), atol=5e-3)

@@ -48,7 +48,7 @@ def test_encode_reports_what_it_did_and_inspect_what_is_there(encoded, tmp_path,
     assert tables["generator"]["settings"]["preset"] == "superfast"
     assert faces.airgs_manifest(["inspect", package, "--plot", str(tmp_path / "p.png")]) == 0
     out = capsys.readouterr().out
-    for word in ("key tier", "pruned", "PSNR", "left out", "up: (0, 0.6, 0.8); units: one is 0.01 m"):
+    for word in ("keyframe tier", "pruned", "PSNR", "left out", "up: (0, 0.6, 0.8); units: one is 0.01 m"):
         assert word in out
     assert (tmp_path / "p.png").stat().st_size > 10_000
     assert faces.airgs_manifest(["inspect", package, "--json"]) == 0
@@ -91,7 +91,7 @@ def levels(*words):
     return tuple(faces.LevelSettings(pruned, factor, quality=quality) for pruned, factor, quality in words)
 
 
-PAPER = {"levels": tuple(faces.LevelSettings(i / 10) for i in range(11)), "tiers": (1.0,), "key_factors": (1.0,)}
+PAPER = {"levels": tuple(faces.LevelSettings(i / 10) for i in range(11)), "tiers": (1.0,), "keyframe_factors": (1.0,)}
 PAPER |= {"calibrate": "none", "usage": "hits", "update_rank": "hits", "keep_all": True, "keys": "apart"}
 QUICK = {"levels": levels((0.4, 1, 0), (0.75, 2, 1)), "preset": "superfast", "calibrate": "none"}
 QUICK |= {"decide_pictures": 8, "measure_pictures": 8}

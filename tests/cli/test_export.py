@@ -111,7 +111,7 @@ def altered(name, *changes):
 
 
 @pytest.mark.parametrize(("make", "words"), [
-    (altered("broken", rewrite("state/L0/3.m4s", lambda data: data[:-1] + b"?")), "hash_mismatch"),
+    (altered("broken", rewrite("delta/L0/3.m4s", lambda data: data[:-1] + b"?")), "hash_mismatch"),
     (altered("growing", set_value(("live",), True)), "still growing"),
     (lambda folder: folder / "nothing", "missing_file"),
     (lambda folder: "ftp://a/b", "expected a folder or an address"),

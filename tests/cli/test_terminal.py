@@ -59,7 +59,7 @@ MISTAKES = {  # words that follow those of the command, and what is said of them
     },
     "decode": {"none.airgs -o a.ply": "none.airgs"},
     "manifest compare FRAMES FOX -o out": {
-        "--frames 9": "--frames", "--frames x": "--frames", "--every 0": "--every", "--rung Q9+L0": "key_quality",
+        "--frames 9": "--frames", "--frames x": "--frames", "--every 0": "--every", "--rung Q9+L0": "keyframe_quality",
         "--rung Q0": "level", "--views nowhere.json": "nowhere.json",
     },
     "manifest rungs ONE scene": {

@@ -41,7 +41,7 @@ def test_airgs_train_says_what_it_did_reports_and_goes_on_as_it_began(blobs, tmp
 
 
 def test_airgs_encode_trains_multi_view_scenes_first(blobs, tmp_path, capsys, monkeypatch):
-    quick = replace(SETTINGS, first_iterations=30, key_iterations=20, frame_iterations=5)
+    quick = replace(SETTINGS, first_iterations=30, keyframe_iterations=20, frame_iterations=5)
     monkeypatch.setattr("airgs_codec.cli.train.default_settings", lambda device: quick)
     shutil.copytree(blobs, tmp_path / "blobs")
     words = f"{tmp_path}/blobs --x264-preset ultrafast --measure-pictures 2 --calibrate none".split()
@@ -86,7 +86,7 @@ def asked(blobs, tmp_path, monkeypatch):
 ])  # fmt: skip
 def test_effort_is_iterations_of_every_frame(asked, words, iterations):
     _, found = asked("--device", "cpu", "--sync", "off", *words.split())
-    assert (found.iterations_from_scratch(6), found.key_iterations, found.frame_iterations) == iterations
+    assert (found.iterations_from_scratch(6), found.keyframe_iterations, found.frame_iterations) == iterations
 
 
 def test_cameras_out_of_step_are_said(asked, blobs, capsys, monkeypatch):

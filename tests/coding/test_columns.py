@@ -1,4 +1,4 @@
-"""Columns of whole numbers come back exactly, in few bytes, and so do positions in cells, in every key quality.
+"""Columns of whole numbers come back exactly, in few bytes, and so do positions in cells, in every keyframe quality.
 
 What is refused is in the vectors (tests/vectors).
 """
@@ -67,7 +67,7 @@ def test_compiled_loops_give_the_bytes_and_numbers_of_plain_ones(monkeypatch):
     st.floats(1e-6, 1e6),
     st.integers(0, 21),
 )
-def test_means_are_within_half_a_cell_of_their_class_in_every_key_quality(means, classes, cell, coarser):
+def test_means_are_within_half_a_cell_of_their_class_in_every_keyframe_quality(means, classes, cell, coarser):
     grid = fit_grid(means, classes, cell)
     assert grid.unit == cell
     codes, wider = grid_codes(means, classes, grid)
@@ -116,7 +116,7 @@ def test_the_cells_of_a_quality_lie_in_those_of_coarser_ones(codes, classes, qua
 
 
 @given(st.data())
-def test_key_sidecars_and_depths_alone_are_exact(data):
+def test_keyframe_sidecars_and_depths_alone_are_exact(data):
     n = data.draw(st.integers(1, 40))
     grid = Grid([0, 0, 0], 1.0, data.draw(st.integers(-128, 127)))
     classes = data.draw(npst.arrays(np.int16, n, elements=st.integers(-128, 127)))
@@ -126,21 +126,21 @@ def test_key_sidecars_and_depths_alone_are_exact(data):
     order = np.argsort(morton, kind="stable")
     depths = data.draw(npst.arrays(np.uint8, n))
     coarser = [0, *sorted(data.draw(st.lists(st.integers(0, 21), max_size=3)))]
-    key = sidecar.KeySidecar(morton[order], classes[order], wider[order], depths)
-    packed = sidecar.pack_key_sidecar(key, grid, coarser[-1])
-    assert sidecar.detail_columns(key, grid, coarser[-1], coarser[-1]) == []
-    shared = sidecar.unpack_key_sidecar(packed, n, grid, coarser[-1], "x")
+    keyframe = sidecar.KeyframeSidecar(morton[order], classes[order], wider[order], depths)
+    packed = sidecar.pack_keyframe_sidecar(keyframe, grid, coarser[-1])
+    assert sidecar.detail_columns(keyframe, grid, coarser[-1], coarser[-1]) == []
+    shared = sidecar.unpack_keyframe_sidecar(packed, n, grid, coarser[-1], "x")
     for name in ("classes", "depths", "wider"):
-        np.testing.assert_array_equal(getattr(shared, name), getattr(key, name))
+        np.testing.assert_array_equal(getattr(shared, name), getattr(keyframe, name))
     for r in coarser:
-        reader = ColumnReader(encode_columns(sidecar.detail_columns(key, grid, r, coarser[-1])), "x")
+        reader = ColumnReader(encode_columns(sidecar.detail_columns(keyframe, grid, r, coarser[-1])), "x")
         own = sidecar.read_detail(reader, shared, grid, r, coarser[-1])
         reader.close()
-        np.testing.assert_array_equal(own.codes, coarse_codes(key.codes, key.cells, grid, r))
+        np.testing.assert_array_equal(own.codes, coarse_codes(keyframe.codes, keyframe.cells, grid, r))
     nothing = ColumnReader(b"\0" * 5, "x")
     np.testing.assert_array_equal(sidecar.read_detail(nothing, shared, grid, r, r).codes, shared.codes)
-    alone = sidecar.KeySidecar(np.empty(0, np.uint64), np.empty(0, np.int16), np.empty(0, np.int16), depths)
-    read = sidecar.unpack_key_sidecar(sidecar.pack_key_sidecar(alone, grid), n, grid, 0, "x", True)
+    alone = sidecar.KeyframeSidecar(np.empty(0, np.uint64), np.empty(0, np.int16), np.empty(0, np.int16), depths)
+    read = sidecar.unpack_keyframe_sidecar(sidecar.pack_keyframe_sidecar(alone, grid), n, grid, 0, "x", True)
     np.testing.assert_array_equal(read.depths, depths)
     assert not len(read.codes) and not len(read.classes)
 
@@ -148,5 +148,5 @@ def test_key_sidecars_and_depths_alone_are_exact(data):
 @given(st.binary(max_size=200))
 def test_any_bytes_as_a_sidecar_are_refused_with_a_reason(data):
     with pytest.raises(FormatError) as caught:
-        sidecar.unpack_key_sidecar(data, 7, GRID, 2, "x.bin")
+        sidecar.unpack_keyframe_sidecar(data, 7, GRID, 2, "x.bin")
     assert caught.value.reason == "bad_sidecar"

@@ -143,7 +143,7 @@ def test_a_channel_without_a_plane_is_within_the_limit_of_its_centre(codes, limi
 
 
 def test_three_codes_apart_need_a_plane_where_the_limit_is_one_and_a_half():
-    """Whole centres leave 2 codes to one side; a key step is 3.17 codes, half of it 1.59."""
+    """Whole centres leave 2 codes to one side; a keyframe step is 3.17 codes, half of it 1.59."""
     found = [atlas.fit_atlas(np.array([[codes]], np.int32), 1.59).planes for codes in ([0, 3, 1, 2], [0, 2, 1, 1])]
     assert found == [[0], []]
 

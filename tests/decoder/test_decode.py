@@ -1,4 +1,4 @@
-"""The public way in: one frame of a package, level and key quality by id or by index."""
+"""The public way in: one frame of a package, level and keyframe quality by id or by index."""
 
 import json
 import subprocess
@@ -28,8 +28,8 @@ def same(a, b):
 
 @pytest.mark.parametrize("level", ["L1", 1, "1"])
 def test_a_frame_is_that_of_the_sequence_however_its_rung_is_named(package, level):
-    frames = [f.gaussians for f in decode_frames(package, 0, 4, level=1, key_quality=1)]
-    assert same(decode(package, 2, level=level, key_quality="Q1"), frames[2])
+    frames = [f.gaussians for f in decode_frames(package, 0, 4, level=1, keyframe_quality=1)]
+    assert same(decode(package, 2, level=level, keyframe_quality="Q1"), frames[2])
     assert not same(decode(package, 2), frames[2])
 
 
@@ -43,7 +43,7 @@ def test_some_frames_of_a_segment_are_those_of_the_whole(package, level, places)
 
 @pytest.mark.parametrize(("read", "choice", "message"), [
     *((decode, {"level": n}, f"level: expected one of L0, L1, got {n!r}") for n in ("L9", -1, "Q0")),
-    (decode, {"key_quality": 2}, "key_quality: expected one of Q0, Q1, got 2"),
+    (decode, {"keyframe_quality": 2}, "keyframe_quality: expected one of Q0, Q1, got 2"),
     *((decode, {"frame": n}, f"frame: expected 0..3, got {n}") for n in (4, -1)),
     *((decode_frames, {"start": a, "stop": b}, f"frames: expected a range inside 0:4, got {a}:{b}")
       for a, b in ((0, 5), (-1, 2), (3, 2))),
@@ -102,7 +102,7 @@ class Refuses:
 sys.meta_path.insert(0, Refuses())
 import airgs_codec
 packages = [airgs_codec.open_package(path) for path in sys.argv[2:]]
-airgs_codec.decode(packages[0], packages[0].manifest.frames - 1, level="L1", key_quality="Q1")
+airgs_codec.decode(packages[0], packages[0].manifest.frames - 1, level="L1", keyframe_quality="Q1")
 modules = [name for name in sys.modules if name.split(".")[0] == "airgs_codec"]
 from tests.support.digests import digests
 print(json.dumps([modules, [digests(package) for package in packages]]))
@@ -130,10 +130,10 @@ def test_the_goldens_decode_to_the_recorded_codes_with_few_modules_and_no_librar
     ("room", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (2, 0, 0), (3, 0, 0), (1, 0, 0)], [(0, 0), (0, 1), (1, 0), (0, 0)]),
 ])  # fmt: skip
 def test_a_frame_is_that_of_a_fresh_package_whatever_was_decoded_before(monkeypatch, case, asked, segments):
-    """`asked`: frame, level and key quality. Frames may be written to, and escapes are read as seldom as can be."""
+    """`asked`: frame, level and keyframe quality. Frames may be written to, and escapes are read as seldom as can be."""
 
     def shown(package, frame, level, quality):
-        return decode(package, frame % package.manifest.frames, level=level, key_quality=quality)
+        return decode(package, frame % package.manifest.frames, level=level, keyframe_quality=quality)
 
     fresh = [shown(open_package(GOLDEN / case), *which) for which in asked]
     package, read, unpack = open_package(GOLDEN / case), [], escapes.unpack_segment
@@ -144,4 +144,4 @@ def test_a_frame_is_that_of_a_fresh_package_whatever_was_decoded_before(monkeypa
         for name in got.__slots__:
             getattr(got, name)[:] = np.nan
     if segments:
-        assert read == [file for which in segments for file in package.manifest.state_files(*which)]
+        assert read == [file for which in segments for file in package.manifest.delta_files(*which)]

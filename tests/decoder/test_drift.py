@@ -1,4 +1,4 @@
-"""Hundreds of frames, any level at any segment over any key tiers, seeks and lost files: the bits of a fresh decode."""
+"""Hundreds of frames, any level at any segment over any keyframe tiers, seeks and lost files: the bits of a fresh decode."""
 
 import random
 import shutil
@@ -11,7 +11,7 @@ import pytest
 
 from airgs_codec.play.film import screen_frames
 from tests import faces
-from tests.faces import FormatError, decode_canonical, decode_key, decode_segment, measure_errors, open_package
+from tests.faces import FormatError, decode_canonical, decode_keyframe, decode_segment, measure_errors, open_package
 from tests.support.manifests import missing, with_segments
 from tests.support.packages import PACKAGES
 
@@ -34,7 +34,7 @@ def same(a, b):
 def test_errors_of_the_last_groups_are_those_of_the_first(package):
     measured = list(measure_errors(package, PACKAGES["drift"].scene()))
     assert all(e.error <= e.bound for e in measured)
-    of = [np.array([e.error for e in measured if e.where == f"group {g} state L0"]) for g in range(10)]
+    of = [np.array([e.error for e in measured if e.where == f"group {g} delta L0"]) for g in range(10)]
     assert len(package.manifest.groups) == 10
     assert (np.mean(of[-4:], axis=0) < 1.5 * np.mean(of[:4], axis=0)).all()
 
@@ -50,13 +50,13 @@ def may_be_missing():
 def show(package, tiers, index, quality, level):
     """Frames of a segment, or None where a file is missing without which nothing can be shown.
 
-    `tiers`: how many of the key tiers of (group, quality) a viewer has decoded, from the first on.
+    `tiers`: how many of the keyframe tiers of (group, quality) a viewer has decoded, from the first on.
     """
     m = package.manifest
     segment, group = m.segments[index], m.group_of(index)
     with may_be_missing():
         for tier in range(tiers[group, quality], m.levels[level].tiers):
-            decode_key(package, group, tier, quality)
+            decode_keyframe(package, group, tier, quality)
             tiers[group, quality] += 1
     with may_be_missing():
         if have := tiers[group, quality]:
@@ -65,7 +65,7 @@ def show(package, tiers, index, quality, level):
 
 
 def expected(package, index, quality, level, have):
-    """What FORMAT.md section 5 promises a viewer of a whole package that has so many key tiers."""
+    """What FORMAT.md section 5 promises a viewer of a whole package that has so many keyframe tiers."""
     m = package.manifest
     group = m.group_of(index)
     moving = sum(tier.count for tier in m.groups[group].tiers[: min(have, m.levels[level].tiers)])
@@ -76,14 +76,14 @@ def expected(package, index, quality, level, have):
 
 
 def test_a_viewer_that_jumps_about_and_loses_files_sees_what_a_new_one_would(package, tmp_path):
-    """Levels that need one tier and two over keys of one tier and two, and segments after files that never came.
+    """Levels that need one tier and two over keyframes of one tier and two, and segments after files that never came.
 
-    Of states every level lacks some, of second tiers some are missing, and of first tiers one.
+    Of deltas every level lacks some, of second tiers some are missing, and of first tiers one.
     """
     m, chance = package.manifest, random.Random(3)
-    states = [m.state_files(i, j)[0] for i in range(len(m.segments)) for j in range(len(m.levels))]
-    lost = {path for path in states if chance.random() < 0.1} | {m.key_files(5, 0, 0)[0]}
-    lost |= {m.key_files(g, 1, q)[0] for g in range(0, len(m.groups), 4) for q in range(len(m.qualities))}
+    deltas = [m.delta_files(i, j)[0] for i in range(len(m.segments)) for j in range(len(m.levels))]
+    lost = {path for path in deltas if chance.random() < 0.1} | {m.keyframe_files(5, 0, 0)[0]}
+    lost |= {m.keyframe_files(g, 1, q)[0] for g in range(0, len(m.groups), 4) for q in range(len(m.qualities))}
     shutil.copytree(package.files.path, tmp_path / "damaged")
     for path in lost:
         (tmp_path / "damaged" / path).unlink()
@@ -109,7 +109,7 @@ def test_a_session_over_a_bad_link_shows_the_bits_of_fresh_decodes(package):
         segments.append(replace(s, levels=levels))
     m = replace(with_segments(m, segments), views=replace(m.views, reference="original"))
     c = faces.Offers(m, root_bytes=package.root_bytes)
-    lost = missing(*(f"state/L0/{n}.m4s" for n in range(3, 30, 5)), "key/T0/7.bin")
+    lost = missing(*(f"delta/L0/{n}.m4s" for n in range(3, 30, 5)), "keyframe/T0/7.bin")
     link = faces.Link(faces.Trace.open("markov:1:0.02"))
     log = faces.simulate(c, link, "paper", faces.SessionSettings(loops=1), lost)
     assert len({s.rung for s in log.shown}) > 4 and any(s.rung is None for s in log.shown)

@@ -19,7 +19,7 @@ from tests.support.digests import decode_slopes
 from tests.support.packages import PACKAGES, PLAIN, SEGMENT, TWO_LEVELS, laid_out
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 
-CODEC, FPS = h264.state_codec("veryfast"), Fraction(24)
+CODEC, FPS = h264.delta_codec("veryfast"), Fraction(24)
 LIMIT, UNIT = 96, 128  # of escapes: samples differ from 128 by at most LIMIT, and a base is UNIT codes
 SETTINGS = EncodeSettings(calibrate="none", levels=TWO_LEVELS, segment_s=0.1, byte_price=1e-8, decide_pictures=2)
 
@@ -34,14 +34,14 @@ def sequence(tmp_path_factory):
         logits[5] = -9.0
         means[7] += 100.0 * (t > 2)
         shown.append(replace(g, opacity_logits=logits, means=means))
-    return faces.open_sequence(write_sequence(tmp_path_factory.mktemp("states") / "scene", shown))
+    return faces.open_sequence(write_sequence(tmp_path_factory.mktemp("deltas") / "scene", shown))
 
 
 @pytest.fixture(scope="module")
 def group(sequence):
-    """Its frames, how they are laid out, and the canonical space of two key qualities."""
+    """Its frames, how they are laid out, and the canonical space of two keyframe qualities."""
     layout = laid_out(sequence, SETTINGS)
-    fine = layout.key_values().astype(np.float32)
+    fine = layout.keyframe_values().astype(np.float32)
     still = np.full(len(layout.rows), faces.STATIC, np.uint8)
     return sequence.load(range(6)).frames, layout, [layout.canonical_space(k, still) for k in (fine, np.round(fine, 1))]
 
@@ -54,8 +54,8 @@ def small_chunks(monkeypatch):
 
 def test_values_are_those_of_all_frames_together(group, tmp_path, small_chunks):
     frames, layout, (base, _) = group
-    expected = channels.state_channels([frame.take(layout.rows) for frame in frames], base, layout.state_steps)
-    values = omit.StateValues.write(tmp_path / "values", frames, layout.rows, base, layout.state_steps)
+    expected = channels.delta_channels([frame.take(layout.rows) for frame in frames], base, layout.delta_steps)
+    values = omit.DeltaValues.write(tmp_path / "values", frames, layout.rows, base, layout.delta_steps)
     whole, some = values.part(slice(None)), np.arange(3, len(layout.rows), 5)
     np.testing.assert_allclose(whole, expected, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(values.channel(9, some), whole[:, 9, some])
@@ -120,7 +120,7 @@ def test_lines_of_segments_have_their_picture_in_front_and_segments_of_few_frame
     lines = [[level.line for level in segment.levels] for segment in list(m.segments)[:4]]
     assert lines == [[True, True], [True, True], [None, None], [True, True]]
     assert m.segments[3].levels[0].file.bytes
-    (path,) = m.state_files(0, 0)
+    (path,) = m.delta_files(0, 0)
     found, segment = mp4.read_segment(lined.read(path)), m.segments[0].levels[0]
     assert len(found.samples) == len(found.checksums) == SEGMENT + 1
     assert len(segment.frame_bytes) == SEGMENT and segment.frame_bytes[0] > len(found.samples[0]) // 2
@@ -133,7 +133,7 @@ def test_every_error_is_within_its_bound_and_segments_of_one_frame_have_files_an
         assert faces.validate(package.files.path) == []
         measured[name] = list(measure_errors(package, PACKAGES[name].scene()))
         assert all(m.error <= m.bound for m in measured[name]), [m for m in measured[name] if m.error > m.bound]
-    assert max(m.error / m.bound for m in measured["lines"] if "state" in m.where and m.bound) > 0.5
+    assert max(m.error / m.bound for m in measured["lines"] if "delta" in m.where and m.bound) > 0.5
     segments = package.manifest.segments
     assert [segment.levels[0].line for segment in segments] == [None] * 19
     sent = [s for s, segment in enumerate(segments) if segment.levels[0].file.bytes]
@@ -147,7 +147,7 @@ def test_frames_that_are_read_alone_are_those_of_a_whole_segment_and_slopes_are_
         for name in alone.__slots__:
             np.testing.assert_array_equal(getattr(alone, name), getattr(whole[number], name))
     codes = np.stack([shown.codes() for shown in faces.decode_pictures(lined, 0, 0, range(SEGMENT))])
-    slopes, gain = decode_slopes(lined, 0, 0), lined.manifest.state_gain
+    slopes, gain = decode_slopes(lined, 0, 0), lined.manifest.delta_gain
     assert np.ptp(slopes[:3], axis=1).max() > 20 * gain  # of means, some past 8 bits
     left = sample.fit_slopes(codes[:, :3].astype(np.float64))
     assert np.abs(left).mean() < gain / 2 < np.abs(slopes[:3]).mean()
@@ -156,7 +156,7 @@ def test_frames_that_are_read_alone_are_those_of_a_whole_segment_and_slopes_are_
 def test_a_row_that_jumps_far_and_back_is_escaped_not_clipped(lined):
     frames, shown = PACKAGES["lines"].groups()[3], [f.gaussians.means for f in decode_frames(lined, 25, 30)]
     far = int(np.argmax(shown[3][:, 0]))
-    most = 3 * lined.manifest.groups[3].state_steps.means * decode_canonical(lined, 3, 0).motion_units[far]
+    most = 3 * lined.manifest.groups[3].delta_steps.means * decode_canonical(lined, 3, 0).motion_units[far]
     for t in (3, 2):
         assert np.abs(shown[t][far] - frames[t].means[11]).max() <= most
 
@@ -174,7 +174,7 @@ def test_a_plan_has_lines_where_they_save_bytes():
 def test_a_line_is_coded_with_the_frames_that_it_leaves():
     rng = np.random.default_rng(0)
     even = rng.normal(size=(3, 512)) * 30 + atlas.line_times(12)[:, None, None] * rng.normal(size=(3, 512)) * 20
-    sizes, decoded = sample.encode_and_decode(even, np.ones(3), h264.state_codec("fast"), line=True)
+    sizes, decoded = sample.encode_and_decode(even, np.ones(3), h264.delta_codec("fast"), line=True)
     assert len(sizes) == 12 and np.abs(decoded - even).max() < 4
 
 
@@ -201,7 +201,7 @@ def test_pictures_that_would_leave_the_range_are_coded_finer_and_the_limit_of_es
 
 
 def test_an_atlas_that_is_too_large_for_a_picture_is_decoded_from_pages(tmp_path, monkeypatch):
-    """Every key and level is, here, and every value keeps to its `max_error`."""
+    """Every keyframe and level is, here, and every value keeps to its `max_error`."""
     monkeypatch.setattr(streams, "picture_size", partial(atlas.picture_size, macroblocks=16))
     sequence = faces.GaussianSequence.from_arrays(moving_frames(600, 5))
     faces.encode(sequence, tmp_path / "out", replace(PLAIN, keep_all=False, segment_s=0.1))

@@ -1,4 +1,4 @@
-"""Keys that are what differs from an earlier group: a room that stands still is coded once."""
+"""Keyframes that are what differs from an earlier group: a room that stands still is coded once."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 
 from tests import faces
 from tests.faces import MEASURING, decode, decode_canonical, mse, open_package, psnr, render, validate
-from tests.support.packages import GROUP, KEPT_KEYS, PACKAGES
+from tests.support.packages import GROUP, KEPT_KEYFRAMES, PACKAGES
 from tests.support.scenes import MOVER, room_behind_a_door
 
 CELLS = 256  # samples of a macroblock
@@ -15,12 +15,12 @@ CELLS = 256  # samples of a macroblock
 
 @pytest.fixture(scope="module")
 def package(package_of):
-    return open_package(package_of("keys"))
+    return open_package(package_of("keyframes"))
 
 
-def key_bytes(m, group):
-    """Bytes of all key files of a group, whose number counts from 1."""
-    files = {f for t in range(m.tiers) for q in range(2) for f in m.key_files(group - 1, t, q)}
+def keyframe_bytes(m, group):
+    """Bytes of all keyframe files of a group, whose number counts from 1."""
+    files = {f for t in range(m.tiers) for q in range(2) for f in m.keyframe_files(group - 1, t, q)}
     return m.bytes_of(sorted(files))
 
 
@@ -35,11 +35,11 @@ def test_such_a_package_is_valid_keeps_its_promises_and_costs_only_what_differs(
     assert [group.keeps for group in m.groups] == [None, None, 2, 2, None, 5, 5, 5, None, 9, None, 11]
     assert "7 of 12 keyframes are coded as what differs from an earlier one" in m.decisions
     assert validate(package.files.path) == []
-    assert faces.exceeded(faces.measure_errors(package, PACKAGES["keys"].scene())) == []
-    assert all(key_bytes(m, group) < 0.75 * key_bytes(m, 2) for group in (3, 4))
+    assert faces.exceeded(faces.measure_errors(package, PACKAGES["keyframes"].scene())) == []
+    assert all(keyframe_bytes(m, group) < 0.75 * keyframe_bytes(m, 2) for group in (3, 4))
     assert [t.count for t in m.groups[8].tiers] == [t.count for t in m.groups[9].tiers]
     assert m.groups[9].count == 5000 + round(MOVER * 5000)
-    assert key_bytes(m, 10) <= 0.15 * key_bytes(m, 9)
+    assert keyframe_bytes(m, 10) <= 0.15 * keyframe_bytes(m, 9)
 
 
 def test_what_stands_still_is_that_of_the_base_and_a_viewer_with_fewer_tiers_has_the_first_rows(package):
@@ -62,7 +62,7 @@ def test_a_base_that_cannot_be_one_is_refused(package):
     for wrong in (
         {"keeps": 1}, {"tiers": [replace(t, count=1) for t in first.tiers]}, {"colour_transform": ""},
         {"tiers": [replace(t, factor=2 * t.factor) for t in first.tiers]}, {"grid": replace(first.grid, finest=9)},
-        {"key_steps": replace(first.key_steps, opacity=1.0)},
+        {"keyframe_steps": replace(first.keyframe_steps, opacity=1.0)},
     ):  # fmt: skip
         groups = faces.Groups.of([*package.manifest.groups[:4], replace(first, **wrong), second])
         with pytest.raises(faces.FormatError, match="group/6") as caught:
@@ -72,11 +72,11 @@ def test_a_base_that_cannot_be_one_is_refused(package):
 
 def test_what_changed_by_less_than_the_codec_errs_differs_by_nothing_and_has_no_pictures(package):
     assert unchanged(*(decode_canonical(package, group, 0) for group in (4, 5))).sum() == 380
-    first, last = (decode(package, group * GROUP).sh_dc[:, 0] / KEPT_KEYS.steps.key.sh_dc for group in (4, 6))
+    first, last = (decode(package, group * GROUP).sh_dc[:, 0] / KEPT_KEYFRAMES.steps.keyframe.sh_dc for group in (4, 6))
     moved = np.abs(last - first)  # in one picture with rows that change much the others are no longer exact
-    drawn = int((PACKAGES["keys"].groups()[4][0].opacities()[:100] >= 1 / 255).sum())
+    drawn = int((PACKAGES["keyframes"].groups()[4][0].opacities()[:100] >= 1 / 255).sum())
     assert [(moved < 3).sum(), (moved > 25).sum()] == [380 - drawn, drawn]
-    assert [len(package.manifest.key_files(7, t, 0)) for t in range(2)] == [1, 1]
+    assert [len(package.manifest.keyframe_files(7, t, 0)) for t in range(2)] == [1, 1]
     one, other = (np.sort(decode(package, group * GROUP).means, axis=0) for group in (4, 7))
     np.testing.assert_array_equal(one, other)
 
@@ -91,7 +91,7 @@ def test_what_a_door_hides_in_the_base_is_fine_enough_where_it_is_seen(package):
 def test_a_base_that_knew_of_no_open_door_is_none():
     """Where groups come one by one, the second is coded by itself if the first had no word of it."""
     sequence = faces.GaussianSequence.from_arrays([room_behind_a_door(1500, is_open) for is_open in (False, True)])
-    plan = faces.decide(sequence, replace(KEPT_KEYS, group_frames=1))
+    plan = faces.decide(sequence, replace(KEPT_KEYFRAMES, group_frames=1))
     for run, keeps in ((plan.run, 1), (0, None)):
         first, second = replace(plan, run=run).frames(sequence)
         assert faces.encode_group(second, plan, faces.encode_group(first, plan)[1])[0].table.keeps == keeps

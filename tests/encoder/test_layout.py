@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as npst
 from airgs_codec.coding import motion, sidecar
 from airgs_codec.encoder import layout as module
 from airgs_codec.encoder import sample
-from airgs_codec.media.h264 import state_codec
+from airgs_codec.media.h264 import delta_codec
 from tests import faces
 from tests.faces import STATIC, EncodeSettings, LevelSettings, as_preview, decode_canonical, decode_frames, open_package
 from tests.support.packages import PACKAGES, PAPER, laid_out
@@ -60,7 +60,7 @@ def test_rows_share_a_motion_class_where_that_takes_fewer_bytes_at_equal_error(t
     units = motion.motion_units(classes).astype(np.float64)
     shared = np.sqrt(np.mean(sensitivity * units**2) / np.mean(sensitivity))
     assert not together or abs(chosen[0] - np.log2(shared)) <= 0.5
-    codec, scores = state_codec("veryfast"), []
+    codec, scores = delta_codec("veryfast"), []
     for unit in (units, shared):
         coded, decoded = sample.encode_and_decode(moved / unit, np.ones(3), codec)
         error = float(np.mean(sensitivity * np.square((decoded - moved / unit) * unit)))
@@ -75,7 +75,7 @@ def test_levels_of_one_tier_do_with_the_first_tier(package_of):
     assert {group.keeps for group in m.groups} == {None}  # each is coded by itself, as was asked for
     assert not any("differs" in line for line in m.decisions)
     assert [level.tiers for level in m.levels] == [2, 2, 1, 1]
-    second = [any(path.startswith("key/T1") for path in m.rung_files(0, level)) for level in (1, 3)]
+    second = [any(path.startswith("keyframe/T1") for path in m.rung_files(0, level)) for level in (1, 3)]
     assert second == [True, False]
     core, both = m.groups[0].tiers[0].count, decode_canonical(package, 0, 0)
     assert len(next(decode_frames(package, 0, 1, level=3)).gaussians) == core
@@ -110,7 +110,7 @@ def test_the_papers_ladder_withholds_from_none_to_all_in_the_order_of_hits(packa
     assert {v.factor for v in m.levels} == {1.0} and len(m.qualities) == 1 == len(m.groups[0].tiers)
     rows = [atlas.rows for atlas in m.groups[0].levels]
     assert rows[0] == 100 and rows == sorted(rows, reverse=True) and rows[-1] == 0
-    assert not m.state_files(0, 10)
+    assert not m.delta_files(0, 10)
     still = base.to_gaussians().means
     for frame in decode_frames(package, 0, 4, level=10):
         np.testing.assert_array_equal(frame.gaussians.means, still)
@@ -123,7 +123,7 @@ def test_the_papers_ladder_withholds_from_none_to_all_in_the_order_of_hits(packa
 
 @pytest.mark.parametrize("measure", faces.MEASURES)
 def test_other_measures_of_the_trainer_do_not_rank_the_papers_levels(tmp_path, measure):
-    """Its hits rise with the row, every other measure falls: they rank updates, whatever ranks the key tiers."""
+    """Its hits rise with the row, every other measure falls: they rank updates, whatever ranks the keyframe tiers."""
     rise = np.arange(1, 201)
     fall = rise[::-1].astype(float)
     scene = write_sequence(tmp_path / "scene", PACKAGES["paper"].groups()[0])

@@ -46,7 +46,7 @@ def followed(tmp_path, frames, settings, **more):
 
 
 def test_groups_are_published_as_their_frames_appear(tmp_path):
-    """Their keys are differences, where the base has what they need."""
+    """Their keyframes are differences, where the base has what they need."""
     scene, out, spans = tmp_path / "scene", tmp_path / "out", []
     more, whole = write_one_at_a_time(scene, FRAMES), replace(SETTINGS, keep_all=True)
     for published in follow(faces.GrowingFolder(scene), out, whole, more=more):
@@ -60,12 +60,12 @@ def test_groups_are_published_as_their_frames_appear(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"scene", "out"}
 
 
-@pytest.mark.parametrize("keys", [faces.KEPT, APART])
-def test_with_the_plan_of_the_whole_it_holds_what_encoding_at_once_does(tmp_path, keys):
+@pytest.mark.parametrize("keyframes", [faces.KEPT, APART])
+def test_with_the_plan_of_the_whole_it_holds_what_encoding_at_once_does(tmp_path, keyframes):
     scene = write_sequence(tmp_path / "scene", FRAMES)
-    settings = replace(SETTINGS, keys=keys)
+    settings = replace(SETTINGS, keyframes=keyframes)
     once = faces.encode(scene, tmp_path / "once", settings)
-    assert [group.keeps for group in once.manifest.groups] == ([None, 1, 1] if keys == faces.KEPT else [None] * 3)
+    assert [group.keeps for group in once.manifest.groups] == ([None, 1, 1] if keyframes == faces.KEPT else [None] * 3)
     _, grown = followed(tmp_path, FRAMES, settings, plan=once.plan)
     for path in (path for group in range(3) for path in once.manifest.group_files(group)):
         assert once.manifest.entry(path) == grown.manifest.entry(path)
@@ -74,7 +74,7 @@ def test_with_the_plan_of_the_whole_it_holds_what_encoding_at_once_does(tmp_path
 
 
 def test_a_base_has_rows_of_groups_before_it_if_these_have_the_same_rows(tmp_path):
-    """Five rows come, then another scene begins, and goes on: these groups share no key, but the last two one.
+    """Five rows come, then another scene begins, and goes on: these groups share no keyframe, but the last two one.
 
     Then ten of 140 rows are seen in every other group, ten others in the rest: the second base has both.
     """
@@ -108,4 +108,4 @@ def test_rows_that_lost_their_order_are_matched_inside_each_group_and_the_first_
     assert [(p.group.start, p.group.stop) for p in published] == [(0, 3), (3, 6), (6, 7), (7, 8)]
     assert published[1].notes == ["frames 4-5: rows were out of order; matched again, 100.0% of them with confidence"]
     assert "frame 7: rows are not those of the frame before" in published[2].notes[0] and not published[3].notes
-    assert grown.manifest.groups[2].state_steps != settings.steps.state
+    assert grown.manifest.groups[2].delta_steps != settings.steps.delta

@@ -12,7 +12,7 @@ from tests.faces import Difference, EncodeSettings, GaussianSequence, encode, op
 from tests.support.packages import TWO_LEVELS
 from tests.support.scenes import moving_frames
 
-RUNGS = [(0, 0), (0, 1), (1, 0), (1, 1)]  # level, key quality
+RUNGS = [(0, 0), (0, 1), (1, 0), (1, 1)]  # level, keyframe quality
 MOST = 64  # pictures
 
 

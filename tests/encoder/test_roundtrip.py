@@ -56,23 +56,23 @@ def test_the_embedded_scene_reaches_its_quality_and_size_and_both_fall_down_the_
     assert m.bytes_of(m.rung_files(0, 0)) / m.frames < 16_000
     assert m.media_bytes() <= 2.2 * m.bytes_of(m.rung_files(0, 0))
     for s, segment in enumerate(m.segments):
-        sizes = [m.bytes_of(m.state_files(s, j)) for j in range(len(m.levels))]
+        sizes = [m.bytes_of(m.delta_files(s, j)) for j in range(len(m.levels))]
         assert sizes == sorted(sizes, reverse=True)
         shown = [got.psnr[level.quality] for got, level in zip(segment.levels, m.levels, strict=True)]
         assert shown == sorted(shown, reverse=True)
 
 
 def test_any_frame_alone_and_the_first_tier_alone_are_parts_of_the_whole(fox):
-    in_sequence = {f.number: f.gaussians for f in decode_frames(fox, 0, 10, level=1, key_quality=1)}
+    in_sequence = {f.number: f.gaussians for f in decode_frames(fox, 0, 10, level=1, keyframe_quality=1)}
     for number in (9, 0, 6):
-        same(decode(fox, number, level=1, key_quality=1), in_sequence[number])
+        same(decode(fox, number, level=1, keyframe_quality=1), in_sequence[number])
     count = fox.manifest.groups[1].tiers[0].count
     for whole, core in zip(decode_frames(fox, 5, 8), decode_frames(fox, 5, 8, tiers=1), strict=True):
         assert len(core.gaussians) == count < len(whole.gaussians)
         same(whole.gaussians.take(np.arange(count)), core.gaussians)
 
 
-def test_state_codes_are_within_the_codecs_error_of_the_source(fox, coded):
+def test_delta_codes_are_within_the_codecs_error_of_the_source(fox, coded):
     """H.264 spreads an isolated jump over its block and may drop it: up to 3.3 steps were seen, 0.3 on average.
 
     A wrapped sample or a lost escape would be off by 20 steps (128 codes).
@@ -80,10 +80,10 @@ def test_state_codes_are_within_the_codecs_error_of_the_source(fox, coded):
     m = fox.manifest
     for g, group, frames, layout in coded:
         shown_rows = [f.take(layout.rows) for f in frames]
-        steps = faces.STATE.steps(group.state_steps, m.colour_channels)
+        steps = faces.DELTA.steps(group.delta_steps, m.colour_channels)
         for j, level in enumerate(m.levels):
             base = decode_canonical(fox, g, level.quality)
-            values = channels.state_channels(shown_rows, base, group.state_steps)
+            values = channels.delta_channels(shown_rows, base, group.delta_steps)
             rows = (base.depths >= j) & (base.depths != 255)
             for t, shown in enumerate(faces.decode_pictures(fox, g, j, range(group.stop - group.start))):
                 error = shown.values(slice(None)) - values[t][:, rows]
@@ -93,34 +93,34 @@ def test_state_codes_are_within_the_codecs_error_of_the_source(fox, coded):
                 assert np.sqrt(np.mean(error**2)) <= 0.5
 
 
-def test_key_codes_are_within_the_codecs_error_and_means_within_half_a_cell_of_the_source(fox, coded):
-    """A coarser key quality has fewer bytes of positions: a bit for each axis, and escapes."""
+def test_keyframe_codes_are_within_the_codecs_error_and_means_within_half_a_cell_of_the_source(fox, coded):
+    """A coarser keyframe quality has fewer bytes of positions: a bit for each axis, and escapes."""
     m = fox.manifest
     assert [quality.coarser for quality in m.qualities] == [0, 1]
     for g, group, _, layout in coded:
         factors, counts = [tier.factor for tier in group.tiers], [tier.count for tier in group.tiers]
         assert factors[0] < 1 < factors[1]
-        steps = np.outer(faces.KEY.steps(group.key_steps, m.colour_channels), np.repeat(factors, counts))
+        steps = np.outer(faces.KEYFRAME.steps(group.keyframe_steps, m.colour_channels), np.repeat(factors, counts))
         for q, quality in enumerate(m.qualities):
             if group.keeps is None:
-                codes = np.concatenate([faces.decode_key(fox, g, t, q)[0] for t in range(2)], axis=1)
-                error = codes / m.key_gain - layout.key_values() / (steps * quality.factor)
+                codes = np.concatenate([faces.decode_keyframe(fox, g, t, q)[0] for t in range(2)], axis=1)
+                error = codes / m.keyframe_gain - layout.keyframe_values() / (steps * quality.factor)
                 assert np.abs(error).max() <= 2.5 and np.sqrt(np.mean(error**2)) <= 0.5
-            error = np.abs(decode_canonical(fox, g, q).means - layout.key.means).max(axis=1)
+            error = np.abs(decode_canonical(fox, g, q).means - layout.keyframe.means).max(axis=1)
             cells = layout.classes - layout.wider
             side = group.grid.step * 2.0 ** (layout.wider + sidecar.cell_bits(cells, group.grid, quality.coarser))
             assert (error <= side / 2 * (1 + 1e-6)).all()
             assert len(np.unique(side)) > 2
         for t, count in enumerate(counts):
-            fine, coarse = (len(open_segment(fox.read(m.key_files(g, t, q)[1]), "x")[0] or b"") for q in (0, 1))
+            fine, coarse = (len(open_segment(fox.read(m.keyframe_files(g, t, q)[1]), "x")[0] or b"") for q in (0, 1))
             assert fine - coarse > 3 * count / 8
 
 
 @pytest.mark.parametrize(("factors", "coarser"), [
     ((1.0,), (0,)), ((1.0, 1.4, 1.8, 3.7, 11.0), (0, 0, 1, 1, 3)), ((4.0, 1.0, 8.0), (0, 0, 1)), ((1e-6, 1e6), (0, 21)),
 ])  # fmt: skip
-def test_cells_of_positions_grow_with_the_steps_of_a_key_quality(factors, coarser):
-    assert replace(FAST, levels=(LevelSettings(0.0),), key_factors=factors).coarser == coarser
+def test_cells_of_positions_grow_with_the_steps_of_a_keyframe_quality(factors, coarser):
+    assert replace(FAST, levels=(LevelSettings(0.0),), keyframe_factors=factors).coarser == coarser
 
 
 def test_a_package_has_a_view_of_its_first_frame_from_where_viewers_begin(fox, monkeypatch):
@@ -151,19 +151,19 @@ def test_fine_steps_come_back_finely(tmp_path):
         assert np.sort(nearest.min(axis=1))[-1] < 0.02
 
 
-def test_what_does_not_move_has_no_states_and_constant_channels_have_no_plane(package_of):
+def test_what_does_not_move_has_no_deltas_and_constant_channels_have_no_plane(package_of):
     """Nothing moves in five frames; then something is where it was, on one side and on the other, a segment each."""
     few = faces.open_package(package_of("few"))
     m = few.manifest
     assert all(level.file.bytes == 0 for segment in m.groups[0].segments for level in segment.levels)
-    assert [bool(m.state_files(s, 0)) for s in range(8)] == [False] * 6 + [True] * 2
-    assert m.state_files(6, 0) == ["state/L0/7.m4s"]
+    assert [bool(m.delta_files(s, 0)) for s in range(8)] == [False] * 6 + [True] * 2
+    assert m.delta_files(6, 0) == ["delta/L0/7.m4s"]
     same(decode(few, 0), decode(few, 4))
     assert not np.array_equal(decode(few, 7).means, decode(few, 5).means)
     flat, group, shown = PACKAGES["few"].groups()[2][0], m.groups[2], decode(few, 8)
     assert not {6, 7, 8, 9} & set(group.tiers[0].qualities[0].planes)
-    assert np.abs(shown.opacities() - flat.opacities()[0]).max() <= group.key_steps.opacity / 2 + 1e-6
-    assert np.abs(shown.sh_dc - 1).max() <= np.sqrt(3) * group.key_steps.sh_dc / 2 + 1e-3
+    assert np.abs(shown.opacities() - flat.opacities()[0]).max() <= group.keyframe_steps.opacity / 2 + 1e-6
+    assert np.abs(shown.sh_dc - 1).max() <= np.sqrt(3) * group.keyframe_steps.sh_dc / 2 + 1e-3
 
 
 def test_awkward_counts_share_their_representations(package_of):
@@ -176,7 +176,9 @@ def test_awkward_counts_share_their_representations(package_of):
         assert all(np.isfinite(getattr(g, name)).all() for g in shown for name in g.__slots__)
 
 
-@pytest.mark.parametrize("wrong", [{"start": 0, "stop": 99}, {"start": -1}, {"level": 9}, {"key_quality": 7}], ids=str)
+@pytest.mark.parametrize(
+    "wrong", [{"start": 0, "stop": 99}, {"start": -1}, {"level": 9}, {"keyframe_quality": 7}], ids=str
+)
 def test_what_is_not_there_is_refused(fox, wrong):
     with pytest.raises(ConfigError):
         list(decode_frames(fox, **({"start": 0, "stop": 1} | wrong)))
@@ -189,7 +191,7 @@ def bare(*levels, **more):
 @pytest.mark.parametrize("settings", [
     bare((0.5,), (0.0,)), bare((0.0, -1.0)), bare((1.5,)), {"levels": ()},
     bare((0.0, 1.0, 1)), bare((0.0,), (0.0, 1.5, 3)),  # the top level needs all tiers, of which there are two
-    bare((0.0, 1.0, 0, 2)), bare((0.0, 1.0, 0, 1), (0.0, 1.5)),  # key qualities are 0 and 1
+    bare((0.0, 1.0, 0, 2)), bare((0.0, 1.0, 0, 1), (0.0, 1.5)),  # keyframe qualities are 0 and 1
     {"levels": (LevelSettings(0.0),)}, {"tiers": (0.5, 0.5)},  # calibration would replace them
     {"tiers": (0.5, 0.4)}, {"quality": 0.0}, {"segment_s": 0.0}, {"group_frames": 0}, {"threads": 0},
     {"usage": "none"}, {"update_rank": "none"}, {"preset": "warp"}, {"calibrate": "sometimes"},
@@ -210,7 +212,7 @@ def test_values_that_no_code_holds_are_refused_and_leave_the_old_package(tmp_pat
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "wild"]  # no stage is left behind
 
 
-@pytest.mark.parametrize("foreign", ["thesis.tex", "manifest.mpd", "key/notes.txt", ".thesis.tex.part"])
+@pytest.mark.parametrize("foreign", ["thesis.tex", "manifest.mpd", "keyframe/notes.txt", ".thesis.tex.part"])
 def test_a_folder_with_other_files_is_never_replaced_and_a_package_with_unfinished_ones_is(tmp_path, foreign):
     """Other files alone, and beside a package; a growing package whose writer was killed."""
     out = shutil.copytree(VALID / "moving", tmp_path / "out")
@@ -230,7 +232,7 @@ def test_a_folder_with_other_files_is_never_replaced_and_a_package_with_unfinish
 
 def test_a_linked_file_is_refused(tmp_path):
     package = shutil.copytree(VALID / "moving", tmp_path / "out")
-    path = package / "key/T0/1.bin"
+    path = package / "keyframe/T0/1.bin"
     path.symlink_to(path.rename(tmp_path / "outside.bin"))
     with pytest.raises(faces.FormatError, match="link"):
         decode(faces.open_package(package), 0)

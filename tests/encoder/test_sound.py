@@ -41,7 +41,7 @@ def test_it_is_heard_at_the_time_of_its_frames_and_packets_are_in_the_group_in_w
 def test_the_mpd_has_a_set_of_its_own_and_nothing_else_differs_from_the_package_without_sound(package, package_of):
     sound, silent = read_files(package.files.path), read_files(package_of("silent"))
     assert set(sound) - set(silent) == {faces.SOUND_INIT_NAME, *(sound_path(n) for n in (1, 2, 3))}
-    same = {path for path in silent if path.split("/")[0] in ("key", "state", "init.mp4")}
+    same = {path for path in silent if path.split("/")[0] in ("keyframe", "delta", "init.mp4")}
     assert same and all(sound[path] == silent[path] for path in same)
     (listed,) = [found for found in faces.Streams.of(package.manifest).sets() if found.role == "sound"]
     (stream,) = listed.representations

@@ -116,8 +116,8 @@ def test_colours_are_weighed_by_what_is_seen(scene):
     weights = np.array(steps.colours).reshape(3, 3)
     np.testing.assert_allclose(weights, weights.T)
     assert np.diag(weights).argmax() == 1 and np.linalg.eigvalsh(weights).min() >= 1 - 1e-9
-    grown = steps.key.sh_dc / EncodeSettings().steps.key.sh_dc
-    assert np.linalg.det(weights) == pytest.approx(grown**3) and steps.state.sh_rest == pytest.approx(0.08 * grown)
+    grown = steps.keyframe.sh_dc / EncodeSettings().steps.keyframe.sh_dc
+    assert np.linalg.det(weights) == pytest.approx(grown**3) and steps.delta.sh_rest == pytest.approx(0.08 * grown)
     colours = np.random.default_rng(0).normal(size=(50, 12)) * np.arange(1, 13)
     stored = faces.unpack_matrix(faces.pack_matrix(fit_colour_transform(colours, steps.colours)), 12)
     seen = stored @ np.kron(np.eye(4), weights)  # what a step in each channel changes, as it is seen
@@ -131,7 +131,7 @@ VIEWS, SEED = 10, 1000  # of each frame, each seen once, that no decision saw
 
 @pytest.fixture(scope="module")
 def ladder(tmp_path_factory):
-    """Bytes, claimed PSNR and PSNR over all frames from other views, of each level with the keys that it corrects."""
+    """Bytes, claimed PSNR and PSNR over all frames from other views, of each level with the keyframes that it corrects."""
     folder = tmp_path_factory.mktemp("temporal")
     sequence = open_sequence(write_temporal(folder / "clip", 1500))
     settings = EncodeSettings(preset="veryfast", threads=2, measure_pictures=32)

@@ -208,7 +208,7 @@ def test_a_rung_has_its_bytes_its_claim_and_its_gaussians_and_a_scene_the_bytes_
         side = open_side(str(PACKAGE), name)
         assert (side.rung, side.bytes_per_frame) == (name, rungs[name].bytes / package.manifest.frames)
         assert side.claimed.psnr == rungs[name].psnr
-        decoded = faces.decode_frames(package, 2, 3, key_quality=name[:2], level=name[3:])
+        decoded = faces.decode_frames(package, 2, 3, keyframe_quality=name[:2], level=name[3:])
         assert np.array_equal(next(side.read(range(2, 3))).means, next(decoded).gaussians.means, equal_nan=True)
     assert open_side(str(PACKAGE)).rung == "Q0+L0" and open_side(str(PACKAGE)).label == "moving Q0+L0"
     for rung in ("Q9+L0", "Q0+L9", "Q0", "L0", "+"):

@@ -36,15 +36,15 @@ def test_rates_and_bytes_of_levels_rungs_and_kinds_count_everything_a_viewer_fet
     assert level["peak_bps"] == 33600
     assert level["bytes_per_frame"] == pytest.approx(4200 / 15)
     m = tiny_manifest()
-    rungs = {(r["key"], r["state"]): r for r in summarise(m, MANIFESTS)["rungs"]}
-    keys, state = 2 * (3000 + 1000 + 2 * 100), 2 * (2000 + 100)
-    assert rungs["Q0", "L0"]["bytes_per_frame"] * 20 == pytest.approx(keys + state + MANIFESTS)
+    rungs = {(r["keyframe"], r["delta"]): r for r in summarise(m, MANIFESTS)["rungs"]}
+    keyframes, delta = 2 * (3000 + 1000 + 2 * 100), 2 * (2000 + 100)
+    assert rungs["Q0", "L0"]["bytes_per_frame"] * 20 == pytest.approx(keyframes + delta + MANIFESTS)
     assert rungs["Q1", "L2"]["bytes_per_frame"] * 20 == pytest.approx(3400 + 1200 + MANIFESTS)
     assert rungs["Q1", "L2"]["psnr"] == 32 and rungs["Q1", "L2"]["low"] == 30
     assert len(rungs) == 6
     m = tiny_manifest(groups=(3, 3))  # 2000 B of media hold 3 * 666 B of pictures
     kinds = summarise(m, MANIFESTS)["top_rung_bytes"]
-    expected = {"key pictures": 8000, "key sidecars": 400, "state pictures": 3996, "escapes and boxes": 204}
+    expected = {"keyframe pictures": 8000, "keyframe sidecars": 400, "delta pictures": 3996, "escapes and boxes": 204}
     assert kinds == expected | {"manifests": MANIFESTS}
     assert sum(kinds.values()) == m.bytes_of(m.rung_files(0, 0)) + MANIFESTS
 
@@ -71,7 +71,7 @@ def test_the_viewing_region_is_told_in_figures_and_words():
 
 @pytest.mark.parametrize("m", [
     tiny_manifest(), tiny_manifest(psnr=None), with_psnr(tiny_manifest(), -1e300),
-    tiny_manifest(groups=(1,), state_bytes=(0,), psnr=[[100.0, 100.0]]),
+    tiny_manifest(groups=(1,), delta_bytes=(0,), psnr=[[100.0, 100.0]]),
 ], ids=["measured", "not measured", "absurd", "one still frame"])  # fmt: skip
 def test_the_picture_is_drawn(m, tmp_path):
     faces.plot_ladder(m, MANIFESTS, tmp_path / "ladder.png")
@@ -83,8 +83,8 @@ def test_the_picture_is_drawn(m, tmp_path):
 def test_the_ladder_is_the_convex_hull():
     """Q0 + L1 costs more than Q1 + L0 and shows less; Q1 + L1 lies between two others, but above their line."""
     psnr = ((40.0, 36.0), (35.0, 32.5), (34.0, 32.0))
-    m = tiny_manifest(key_bytes=((9000, 1000), (1000, 500)), state_bytes=(2000, 1900, 500), psnr=psnr)
-    best = {(r["key"], r["state"]) for r in summarise(m, MANIFESTS)["rungs"] if r["best"]}
+    m = tiny_manifest(keyframe_bytes=((9000, 1000), (1000, 500)), delta_bytes=(2000, 1900, 500), psnr=psnr)
+    best = {(r["keyframe"], r["delta"]) for r in summarise(m, MANIFESTS)["rungs"] if r["best"]}
     assert best == {("Q0", "L0"), ("Q1", "L0"), ("Q1", "L2")}
     assert format_summary(m, MANIFESTS).count("*") == 1 + len(best)
     assert format_ladder(m, MANIFESTS).count(" + L") == len(best)

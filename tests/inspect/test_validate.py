@@ -14,9 +14,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
+from airgs_codec.coding.sidecar import pack_keyframe_sidecar, unpack_keyframe_sidecar
 from airgs_codec.inspect import errors
-from airgs_codec.media.h264 import ClosedGop, check_gop, encode_gop, key_codec
+from airgs_codec.media.h264 import ClosedGop, check_gop, encode_gop, keyframe_codec
 from airgs_codec.media.mp4 import box, read_boxes, read_samples, read_segment, with_own_box
 from tests import faces
 from tests.faces import FileKind, Memory, digest, file_kind, open_package, validate
@@ -30,7 +30,7 @@ from tests.support.scenes import moving_frames, write_sequence
 
 MOVING = base_files("moving")
 OPENED = open_package(VALID / "moving")
-STATE = "state/L0/1.m4s"
+DELTA = "delta/L0/1.m4s"
 
 
 def with_file(files: Files, relative: str, data: bytes) -> Files:
@@ -49,7 +49,7 @@ def test_every_broken_file_has_its_own_finding():
     listed = sorted(p for p in OPENED.manifest.files() if file_kind(p) is not FileKind.MANIFESTS)
     left = {name: data for name, data in MOVING.items() if name not in listed}
     assert [(f.reason, f.where) for f in findings(left)] == [("missing_file", relative) for relative in listed]
-    groups, paths = base_files("two-groups-sh1"), ["key/T0/1.bin", "key/T0/2.bin"]
+    groups, paths = base_files("two-groups-sh1"), ["keyframe/T0/1.bin", "keyframe/T0/2.bin"]
     for relative in paths:
         groups = with_file(groups, relative, b"\0" * 20)
     assert {f.where for f in findings(groups)} == set(paths)
@@ -58,30 +58,30 @@ def test_every_broken_file_has_its_own_finding():
 def test_only_plain_files_belong_to_a_package(tmp_path):
     """Links are refused wherever they lead; what is neither file nor folder is foreign."""
     package = shutil.copytree(VALID / "moving", tmp_path / "package")
-    media = package / "state/L0/1.m4s"
+    media = package / "delta/L0/1.m4s"
     media.rename(tmp_path / "elsewhere.m4s")
     media.symlink_to(tmp_path / "elsewhere.m4s")
     (package / "folder").symlink_to(tmp_path)
     os.mkfifo(package / "pipe")
     found = {(f.reason, f.where) for f in validate(package)}
-    assert found == {("unsafe_path", "state/L0/1.m4s"), ("unsafe_path", "folder"), ("foreign_file", "pipe")}
+    assert found == {("unsafe_path", "delta/L0/1.m4s"), ("unsafe_path", "folder"), ("foreign_file", "pipe")}
 
 
 def grey_media(value: int, atlas: faces.Atlas, like: bytes) -> bytes:
     """A media segment of a picture of one value, with its checksums and the columns of another segment."""
-    gop, codec = ClosedGop([np.full((atlas.height, atlas.width), value, np.uint8)], 0, 1000), key_codec("veryfast")
+    gop, codec = ClosedGop([np.full((atlas.height, atlas.width), value, np.uint8)], 0, 1000), keyframe_codec("veryfast")
     coded = encode_gop(gop, (atlas.width, atlas.height), Fraction(24), codec)
     return with_own_box(coded.fragment, check_gop(coded, gop, codec).checksums, read_segment(like).columns or b"")
 
 
 def test_fewer_pictures_than_frames_are_refused():
-    data = grey_media(128, OPENED.manifest.groups[0].levels[0], MOVING[STATE])
-    package = faces.open_files(Memory("fewer", with_file(MOVING, STATE, data)))
-    with pytest.raises(faces.FormatError, match=r"state/L0/1\.m4s: expected 4 pictures, got 0"):
+    data = grey_media(128, OPENED.manifest.groups[0].levels[0], MOVING[DELTA])
+    package = faces.open_files(Memory("fewer", with_file(MOVING, DELTA, data)))
+    with pytest.raises(faces.FormatError, match=r"delta/L0/1\.m4s: expected 4 pictures, got 0"):
         list(faces.decode_segment(package, 0, faces.decode_canonical(package, 0, 0), 0, range(4)))
 
 
-def forget_keys(table):
+def forget_keyframes(table):
     for tier in table["tiers"]:
         for entry in (tier["sidecar"], *tier["pictures"]):
             entry.update(bytes=0, sha256="")
@@ -90,9 +90,9 @@ def forget_keys(table):
 def lower_depths(files: Files) -> Files:
     """Depths that disagree with a level, whose updates are counted."""
     group, coarsest = OPENED.manifest.groups[0], OPENED.manifest.qualities[-1].coarser
-    sidecar = unpack_key_sidecar(files["key/T0/1.bin"], group.tiers[0].count, group.grid, coarsest, "")
+    sidecar = unpack_keyframe_sidecar(files["keyframe/T0/1.bin"], group.tiers[0].count, group.grid, coarsest, "")
     lower = dataclasses.replace(sidecar, depths=np.minimum(sidecar.depths, 0))
-    return with_file(files, "key/T0/1.bin", pack_key_sidecar(lower, group.grid, coarsest))
+    return with_file(files, "keyframe/T0/1.bin", pack_keyframe_sidecar(lower, group.grid, coarsest))
 
 
 def frame_bytes(more: int) -> mutations.Mutation:
@@ -100,15 +100,15 @@ def frame_bytes(more: int) -> mutations.Mutation:
     return set_value(("segments", 0, "levels", 0, "frame_bytes"), sizes, TABLE)
 
 
-ENDLESS = [set_value(("key_steps", name), 1e30, TABLE) for name in ("log_scales", "quaternions")]
-ENDLESS += [set_value(("qualities", q, "factor"), 1e6) for q in (0, 1)] + [set_value(("key_gain",), 1e-3)]
+ENDLESS = [set_value(("keyframe_steps", name), 1e30, TABLE) for name in ("log_scales", "quaternions")]
+ENDLESS += [set_value(("qualities", q, "factor"), 1e6) for q in (0, 1)] + [set_value(("keyframe_gain",), 1e-3)]
 
 
 @pytest.mark.parametrize(("changes", "reason"), [
     *[([set_value(("qualities", 1, "coarser"), cells)], "bad_sidecar") for cells in (0, 2, 3)],  # it was 1
     *[([frame_bytes(more), reindexed], "size_mismatch") for more in (1, 10**9)],  # than the file has
     ([*ENDLESS, reindexed], "bad_value"),  # steps that decode to no finite number
-    ([mutations.edit_tables(forget_keys, TABLE), reindexed], "missing_entry"),
+    ([mutations.edit_tables(forget_keyframes, TABLE), reindexed], "missing_entry"),
     ([lower_depths], "count_mismatch"),
 ])  # fmt: skip
 def test_tables_and_files_that_do_not_fit_each_other_are_refused(changes, reason):
@@ -150,28 +150,38 @@ HUGE = struct.pack(">Q", 10**12)
 
 
 def more_pictures(data: bytes) -> bytes:
-    return with_columns(MOVING[STATE], read_segment(data).columns or b"")
+    return with_columns(MOVING[DELTA], read_segment(data).columns or b"")
 
 
 def bright(data: bytes) -> bytes:
     return grey_media(240, OPENED.manifest.groups[0].tiers[0].qualities[0], data)
 
 
-TONE, INIT, KEYS = "sound/1.m4a", "init.mp4", [f"key/T1/Q{q}/1.m4s" for q in (0, 1)]
+TONE, INIT, KEYFRAMES = "sound/1.m4a", "init.mp4", [f"keyframe/T1/Q{q}/1.m4s" for q in (0, 1)]
 WRONG = {
     f"{what} of {path}": (path, change, expected)
     for paths, what, change, expected in (
-        ((STATE, "state/L1/1.m4s", *KEYS), "columns", lambda data: with_columns(data, bytes(20)), r"\[bad_sidecar\]"),
-        (KEYS, "end", lambda data: data[:-30], r"\[bad_picture\]"),
-        (["key/T0/Q0/1.m4s"], "more pictures", more_pictures, r"\[bad_picture\]"),
-        (["key/T0/Q0/1.m4s"], "luma", bright, r"16 to 235.*\[bad_picture\]"),
+        (
+            (DELTA, "delta/L1/1.m4s", *KEYFRAMES),
+            "columns",
+            lambda data: with_columns(data, bytes(20)),
+            r"\[bad_sidecar\]",
+        ),
+        (KEYFRAMES, "end", lambda data: data[:-30], r"\[bad_picture\]"),
+        (["keyframe/T0/Q0/1.m4s"], "more pictures", more_pictures, r"\[bad_picture\]"),
+        (["keyframe/T0/Q0/1.m4s"], "luma", bright, r"16 to 235.*\[bad_picture\]"),
         # What no decoder of ours needs and other players stumble over
-        ((STATE, KEYS[1]), "start", field(b"tfdt", 4, HUGE), "box tfdt, byte 12: expected 0, got 1000000000000"),
-        ((STATE, KEYS[1]), "track", field(b"tfhd", 4, b"\0\0\0\2"), "box tfhd, byte 12: expected 1, got 2"),
-        ((STATE, KEYS[1]), "filler", filler, r"got units \[7, 8, 5, 12\]"),
-        ((STATE, KEYS[1]), "level", with_sps(3, 62), "level up to 51 for .*, got 100 and 62"),
-        ((STATE, KEYS[1]), "profile", with_sps(1, 110), "got 110 and"),
-        ((STATE, KEYS[1]), "tail", lambda data: data[:-8] + box(b"free", bytes(8)) + data[-8:], r"\[bad_picture\]"),
+        ((DELTA, KEYFRAMES[1]), "start", field(b"tfdt", 4, HUGE), "box tfdt, byte 12: expected 0, got 1000000000000"),
+        ((DELTA, KEYFRAMES[1]), "track", field(b"tfhd", 4, b"\0\0\0\2"), "box tfhd, byte 12: expected 1, got 2"),
+        ((DELTA, KEYFRAMES[1]), "filler", filler, r"got units \[7, 8, 5, 12\]"),
+        ((DELTA, KEYFRAMES[1]), "level", with_sps(3, 62), "level up to 51 for .*, got 100 and 62"),
+        ((DELTA, KEYFRAMES[1]), "profile", with_sps(1, 110), "got 110 and"),
+        (
+            (DELTA, KEYFRAMES[1]),
+            "tail",
+            lambda data: data[:-8] + box(b"free", bytes(8)) + data[-8:],
+            r"\[bad_picture\]",
+        ),
         ([TONE], "duration", field(b"tfhd", 8, b"\0\0\0\1"), "box tfhd, byte 16: expected 960, got 1"),
         ([TONE], "start", field(b"tfdt", 4, HUGE), "got .1000000000000, "),
         ([TONE], "roll", field(b"sbgp", 12, b"\0\0\0\1"), "box sbgp"),
@@ -196,9 +206,9 @@ def test_composition_times_and_a_poster_are_looked_at(demo_package, end):
     files = read_files(demo_package)
     poster = files["poster.jpg"][:end] or b"no picture"
     entry = {"bytes": len(poster), "sha256": digest(poster)}
-    wild = mutations.rewrite(STATE, field(b"trun", 20, b"\x3b\x9a\xca\0"))
+    wild = mutations.rewrite(DELTA, field(b"trun", 20, b"\x3b\x9a\xca\0"))
     found = findings(apply(files, add_file("poster.jpg", poster), wild, honest, set_value(("poster",), entry)))
-    assert [f.where for f in found] == [STATE, "poster.jpg"]
+    assert [f.where for f in found] == [DELTA, "poster.jpg"]
     assert "box trun" in str(found[0]) and "expected a JPEG" in str(found[1])
 
 
@@ -230,8 +240,8 @@ def test_every_atlas_keeps_its_bound_and_the_bound_is_tight_and_wider_in_coarser
     package = open_package(demo_package)
     m, measured = package.manifest, list(faces.measure_errors(package, faces.open_sequence(FOX)))
     assert len({e.where for e in measured}) == len(m.groups) * (m.tiers * len(m.qualities) + len(m.levels))
-    assert {e.attribute for e in measured if "key" in e.where} == set(faces.KEY.attributes)
-    assert {e.attribute for e in measured if "state" in e.where} == set(faces.STATE.attributes)
+    assert {e.attribute for e in measured if "keyframe" in e.where} == set(faces.KEYFRAME.attributes)
+    assert {e.attribute for e in measured if "delta" in e.where} == set(faces.DELTA.attributes)
     for e in measured:
         assert e.error <= e.bound, e
         assert e.ambiguous <= 0.02 * e.rows
@@ -262,7 +272,7 @@ def test_rows_that_are_left_out_turned_or_never_updated_keep_their_promises(pack
     assert max(m.ambiguous for m in measured) == 0 and all(e.error <= e.bound for e in measured)
     assert package.manifest.groups[0].left_out[0].what == "gaussians" and package.manifest.sh_degree == 1
     assert (base.depths == faces.STATIC).sum() > 200  # of 305, half of which swing: most of them with no update
-    assert sum(e.attribute == "quaternions" and "key" in e.where and e.rows > 0 for e in measured)
+    assert sum(e.attribute == "quaternions" and "keyframe" in e.where and e.rows > 0 for e in measured)
     assert np.linalg.norm(faces.to_rotation_vector(base.quaternions), axis=1).max() < np.radians(70)  # 62.8, and a step
 
 
@@ -282,7 +292,7 @@ def test_promises_are_in_the_units_of_what_is_compared(demo_package):
     promised = errors._promised(group, base)
     moving = base.depths != faces.STATIC
     ratio = base.motion_units / np.median(base.motion_units)
-    bound = group.levels[0].max_error[0] / group.state_steps.means
+    bound = group.levels[0].max_error[0] / group.delta_steps.means
     np.testing.assert_allclose(promised[moving, 0], bound * ratio[moving], rtol=1e-6)
     assert moving.any() and len(np.unique(ratio[moving])) > 1
     near, far = (errors._features([base.to_gaussians()], group, scale)[:, :3] for scale in (1.0, 0.5))

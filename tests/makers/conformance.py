@@ -45,16 +45,16 @@ def drifting(count: int, length: int) -> list[Gaussians]:
 
 BALL = faces.Region("file", 32, 24, 50.0, 0.01, 5.0, [Place([0.0, 0.0, -3.0], [0.0, 0.0, 0.0], [0.0, -1.0, 0.0], 0.2)])
 
-ONE_KEY = replace(WHOLE, key_factors=(1.0,))
-KEEPING = replace(WHOLE, keys=KEPT, group_frames=2, keep_all=True, region=BALL, measure_pictures=2)
+ONE_KEYFRAME = replace(WHOLE, keyframe_factors=(1.0,))
+KEEPING = replace(WHOLE, keyframes=KEPT, group_frames=2, keep_all=True, region=BALL, measure_pictures=2)
 PACKAGES = {
     "moving": (frames(64, 0, 4), COARSE),
     "kept": (room_frames(60, 6), KEEPING),
     "lined": (drifting(80, 6), COARSE),
-    "one-gaussian": (frames(1, 1, 1), ONE_KEY),
-    "paged": (frames(4, 0, 65), replace(ONE_KEY, group_frames=1, tiers=(1.0,), measure_pictures=0)),
-    "placed": (frames(2, 0, 1), replace(ONE_KEY, world=faces.world_from((0, 0, 1), 0.01))),
-    "white": (frames(2, 0, 1), replace(ONE_KEY, region=replace(BALL, background=[1.0, 1.0, 1.0]))),
+    "one-gaussian": (frames(1, 1, 1), ONE_KEYFRAME),
+    "paged": (frames(4, 0, 65), replace(ONE_KEYFRAME, group_frames=1, tiers=(1.0,), measure_pictures=0)),
+    "placed": (frames(2, 0, 1), replace(ONE_KEYFRAME, world=faces.world_from((0, 0, 1), 0.01))),
+    "white": (frames(2, 0, 1), replace(ONE_KEYFRAME, region=replace(BALL, background=[1.0, 1.0, 1.0]))),
     "two-groups-sh1": (frames(40, 1, 5), replace(WHOLE, group_frames=3, segment_s=0.07)),
 }
 

@@ -23,7 +23,7 @@ from tests.support.paths import FOX, GOLDEN
 from tests.support.scenes import room_frames, write_sequence
 
 ROWS = 700  # Gaussians kept of the embedded scene
-WHOLE = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), keys=APART)
+WHOLE = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), keyframes=APART)
 COARSE = replace(WHOLE, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)))  # and a level of half the rows
 
 
@@ -42,11 +42,11 @@ def main() -> None:
     source = open_sequence(FOX)
     rows = np.linspace(0, 4999, ROWS).astype(int)
     fox = {frame: source.read(frame).take(rows) for frame in range(3, 8)}
-    fine = replace(WHOLE, key_factors=(1.0,), quality=0.1, steps=StepSettings(grid=0.00007))
+    fine = replace(WHOLE, keyframe_factors=(1.0,), quality=0.1, steps=StepSettings(grid=0.00007))
     cases = {
         "fox": ([fox[frame] for frame in range(3, 7)], COARSE),
         "fox-fine": ([fox[frame] for frame in range(5, 8)], fine),
-        "room": (room_frames(ROWS, 4, degree=1), replace(COARSE, keys=KEPT, keep_all=True)),
+        "room": (room_frames(ROWS, 4, degree=1), replace(COARSE, keyframes=KEPT, keep_all=True)),
     }
     for name, (cut, settings) in cases.items():
         encode_bare(cut, GOLDEN / name, settings, fps=24, keyframes=[0, 2])

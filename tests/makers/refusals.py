@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from airgs_codec.coding.rangecoder import encode_columns
-from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
+from airgs_codec.coding.sidecar import pack_keyframe_sidecar, unpack_keyframe_sidecar
 from airgs_codec.media.mp4 import box, read_boxes, read_segment, sound_segment, with_own_box
 from tests.faces import JSON_NAME, MAX_TABLE_BYTES, MPD_NAME, Grid, digest, parse_root
 from tests.support import mutations
@@ -28,8 +28,18 @@ from tests.support.mutations import Files, apply, drop_value, honest, parse_tabl
 from tests.support.paths import INVALID
 from tests.support.refusals import Case, base_files, findings
 
-KEY_SIDECAR, KEY_PICTURE, TABLE, PAGE_TABLE = "key/T0/1.bin", "key/T0/Q0/1.m4s", "group/1.json.gz", "index/1/1.json"
-KEPT_SIDECAR, KEPT_TABLE, LAST_TABLE, STATES = "key/T0/2.bin", "group/2.json.gz", "group/3.json.gz", "state/L0/1.m4s"
+KEYFRAME_SIDECAR, KEYFRAME_PICTURE, TABLE, PAGE_TABLE = (
+    "keyframe/T0/1.bin",
+    "keyframe/T0/Q0/1.m4s",
+    "group/1.json.gz",
+    "index/1/1.json",
+)
+KEPT_SIDECAR, KEPT_TABLE, LAST_TABLE, DELTAS = (
+    "keyframe/T0/2.bin",
+    "group/2.json.gz",
+    "group/3.json.gz",
+    "delta/L0/1.m4s",
+)
 NONE = {"bytes": 0, "sha256": ""}
 LEVEL = ("segments", 0, "levels", 0)
 MIRROR = [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0]
@@ -40,9 +50,11 @@ def without_moving_rows(files: Files) -> Files:
     """Say in a sidecar that its rows are static, while the tables count them."""
     group, coarsest = parse_table(files[TABLE]), parse_root(files[JSON_NAME]).qualities[-1].coarser
     grid = Grid(**group["grid"])
-    sidecar = unpack_key_sidecar(files[KEY_SIDECAR], group["tiers"][0]["count"], grid, coarsest, KEY_SIDECAR)
+    sidecar = unpack_keyframe_sidecar(
+        files[KEYFRAME_SIDECAR], group["tiers"][0]["count"], grid, coarsest, KEYFRAME_SIDECAR
+    )
     still = replace(sidecar, depths=np.full_like(sidecar.depths, 255))
-    return files | {KEY_SIDECAR: pack_key_sidecar(still, grid, coarsest)}
+    return files | {KEYFRAME_SIDECAR: pack_keyframe_sidecar(still, grid, coarsest)}
 
 
 def kept_sidecar(files: Files) -> Files:
@@ -133,9 +145,9 @@ BREAKS: dict[str, tuple[mutations.Mutation, ...]] = {  # reason, and what about 
     "bad_value-group": in_table(set_value(("start",), 1, TABLE)),
     "wrong_type-line": in_table(set_value((*LEVEL, "line"), 1, TABLE)),
     "bad_value-line-none": in_table(
-        set_value((*LEVEL, "file"), NONE, TABLE), set_value((*LEVEL, "frame_bytes"), [], TABLE), remove_file(STATES)
+        set_value((*LEVEL, "file"), NONE, TABLE), set_value((*LEVEL, "frame_bytes"), [], TABLE), remove_file(DELTAS)
     ),
-    "bad_picture-line": (drop_value((*LEVEL, "line"), TABLE), rewrite(STATES, lambda b: with_columns(b, b"")), honest),
+    "bad_picture-line": (drop_value((*LEVEL, "line"), TABLE), rewrite(DELTAS, lambda b: with_columns(b, b"")), honest),
     "bad_sidecar-line": in_table(drop_value((*LEVEL, "line"), TABLE)),
     "bad_sidecar-slopes": in_table(set_value((*LEVEL, "line"), True, TABLE)),
     "bad_value-rungs": (set_value(("rungs", 0), []),),
@@ -147,24 +159,24 @@ BREAKS: dict[str, tuple[mutations.Mutation, ...]] = {  # reason, and what about 
     "bad_value-keeps": in_table(set_value(("keeps",), 2, KEPT_TABLE)),
     "bad_value-keeps-chain": in_table(set_value(("keeps",), 2, LAST_TABLE)),
     "bad_value-keeps-grid": in_table(set_value(("grid", "step"), 0.5, KEPT_TABLE)),
-    "bad_value-keeps-steps": in_table(set_value(("key_steps", "opacity"), 0.5, KEPT_TABLE)),
+    "bad_value-keeps-steps": in_table(set_value(("keyframe_steps", "opacity"), 0.5, KEPT_TABLE)),
     "bad_value-keeps-transform": in_table(set_value(("colour_transform",), "AAAAAAAAAAAAAAAAAAAAAAAA", KEPT_TABLE)),
     "bad_value-keeps-finest": in_table(set_value(("grid", "finest"), 148, KEPT_TABLE)),
     "bad_value-keeps-factor": in_table(set_value(("tiers", 0, "factor"), 2.5, KEPT_TABLE)),
     "bad_value-keeps-rows": in_table(set_value(("tiers", 0, "qualities", 0, "rows"), 1, KEPT_TABLE)),
     "missing_entry-keeps": in_table(set_value(("tiers", 0, "pictures", 0), NONE, KEPT_TABLE)),
     "bad_sidecar-kept": (kept_sidecar, honest),
-    "bad_sidecar-kept-positions": (lambda files: files | {KEPT_SIDECAR: files[KEY_SIDECAR]}, honest),
-    "unsafe_path": (mutations.link_file(KEY_SIDECAR, "Q0/1.m4s"),),
-    "missing_entry": in_table(set_value(("tiers", 0, "pictures", 0), NONE, TABLE), remove_file(KEY_PICTURE)),
-    "missing_file": (remove_file(KEY_PICTURE),),
+    "bad_sidecar-kept-positions": (lambda files: files | {KEPT_SIDECAR: files[KEYFRAME_SIDECAR]}, honest),
+    "unsafe_path": (mutations.link_file(KEYFRAME_SIDECAR, "Q0/1.m4s"),),
+    "missing_entry": in_table(set_value(("tiers", 0, "pictures", 0), NONE, TABLE), remove_file(KEYFRAME_PICTURE)),
+    "missing_file": (remove_file(KEYFRAME_PICTURE),),
     "missing_file-group": (remove_file(TABLE),),
     "missing_file-page": (remove_file(PAGE_TABLE),),
     "foreign_file-page": (mutations.add_file("index/2/1.json", b"nothing leads to it\n"),),
     "foreign_file": (mutations.add_file("notes.txt", b"not part of the package\n"),),
-    "size_mismatch": (rewrite(KEY_SIDECAR, lambda b: b + b"\0"),),
+    "size_mismatch": (rewrite(KEYFRAME_SIDECAR, lambda b: b + b"\0"),),
     "size_mismatch-group": (rewrite(TABLE, lambda b: b + b"\0"),),
-    "hash_mismatch": (rewrite(KEY_SIDECAR, flip),),
+    "hash_mismatch": (rewrite(KEYFRAME_SIDECAR, flip),),
     "hash_mismatch-group": (rewrite(TABLE, flip),),
     "hash_mismatch-page": (rewrite(PAGE_TABLE, lambda b: flip(b, -3)),),
     "bad_sound": (rewrite("sound/1.m4a", lambda b: b[: len(b) // 2]), honest),
@@ -172,18 +184,18 @@ BREAKS: dict[str, tuple[mutations.Mutation, ...]] = {  # reason, and what about 
     "bad_value-sound": in_table(drop_value(("sound",), TABLE)),
     "missing_entry-sound": in_table(set_value(("sound",), NONE, TABLE)),
     "missing_entry-sound-init": (set_value(("sound", "init"), NONE),),
-    "bad_sidecar": (rewrite(KEY_SIDECAR, lambda b: b[: len(b) // 2]), honest),
-    "bad_sidecar-detail": (rewrite(KEY_PICTURE, lambda b: with_columns(b, bytes(20))), honest),
+    "bad_sidecar": (rewrite(KEYFRAME_SIDECAR, lambda b: b[: len(b) // 2]), honest),
+    "bad_sidecar-detail": (rewrite(KEYFRAME_PICTURE, lambda b: with_columns(b, bytes(20))), honest),
     "count_mismatch": (without_moving_rows, honest),
-    "bad_picture": (rewrite(KEY_PICTURE, lambda b: b[:-40] + bytes(20)), honest),
-    "bad_picture-uuid": (rewrite(KEY_PICTURE, lambda b: box(b"uuid", bytes(20)) + fragment_of(b)), honest),
-    "bad_picture-checksum": (rewrite(KEY_PICTURE, lambda b: with_columns(b, read_segment(b).columns, 1)), honest),
-    "bad_picture-no-checksum": (rewrite(KEY_PICTURE, fragment_of), honest),
+    "bad_picture": (rewrite(KEYFRAME_PICTURE, lambda b: b[:-40] + bytes(20)), honest),
+    "bad_picture-uuid": (rewrite(KEYFRAME_PICTURE, lambda b: box(b"uuid", bytes(20)) + fragment_of(b)), honest),
+    "bad_picture-checksum": (rewrite(KEYFRAME_PICTURE, lambda b: with_columns(b, read_segment(b).columns, 1)), honest),
+    "bad_picture-no-checksum": (rewrite(KEYFRAME_PICTURE, fragment_of), honest),
     "bad_value-picture-width": in_table(set_value(("tiers", 0, "qualities", 0, "width"), 4096, TABLE)),
     "bad_picture-size": in_table(set_value(("tiers", 0, "qualities", 0, "height"), 4096, TABLE)),
     "doctype": (mutations.edit_text(MPD_NAME, "<MPD", '<!DOCTYPE MPD [<!ENTITY a "b">]><MPD'),),
     "bad_mpd": (mutations.edit_text(MPD_NAME, "</MPD>", ""),),
-    "foreign_url": (mutations.edit_text(MPD_NAME, 'media="state/', 'media="http://example.com/state/'),),
+    "foreign_url": (mutations.edit_text(MPD_NAME, 'media="delta/', 'media="http://example.com/delta/'),),
     "mpd_mismatch": (mutations.edit_text(MPD_NAME, '<S t="0"', '<S t="1"'),),
     "mpd_mismatch-live": (set_value(("live",), True),),
 }

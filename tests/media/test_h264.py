@@ -13,13 +13,21 @@ import numpy as np
 import pytest
 
 from airgs_codec.media import h264, mp4
-from airgs_codec.media.h264 import ClosedGop, CodecSettings, Pictures, check_gop, key_codec, open_segment, state_codec
+from airgs_codec.media.h264 import (
+    ClosedGop,
+    CodecSettings,
+    Pictures,
+    check_gop,
+    keyframe_codec,
+    open_segment,
+    delta_codec,
+)
 from airgs_codec.media.mp4 import box, init_segment, read_boxes, read_samples, read_segment, start_codes, with_own_box
 from tests.faces import CodecError, FormatError
 
 SIZE = (96, 64)
 STEP = 2 ** (16 / 6)  # of QP 20, luma levels
-CODEC = state_codec("veryfast")
+CODEC = delta_codec("veryfast")
 FRAMES, PAGES, TICKS = 5, 3, 1000  # of pictures that are too large for one
 
 
@@ -99,7 +107,7 @@ def test_broken_bytes_and_pages_that_differ_in_number_are_refused(paged):
     assert caught.value.reason == "bad_picture"
 
 
-@pytest.mark.parametrize("codec", [key_codec("veryfast"), state_codec("veryslow")])
+@pytest.mark.parametrize("codec", [keyframe_codec("veryfast"), delta_codec("veryslow")])
 def test_no_flipped_bit_changes_a_picture(codec):
     """FFmpeg conceals most damage, and some H.264 is as good after it: the checksums tell."""
     coded = checked(ClosedGop(pictures(6 if codec.between else 1), 0, 1), codec)
@@ -129,7 +137,7 @@ def test_a_stream_that_decodes_to_something_else_is_not_published():
             check_gop(coded, ClosedGop(other, 7, 1), CODEC)
 
 
-@pytest.mark.parametrize(("codec", "reordered"), [(key_codec("veryslow"), 0), (state_codec("veryslow"), 2)])
+@pytest.mark.parametrize(("codec", "reordered"), [(keyframe_codec("veryslow"), 0), (delta_codec("veryslow"), 2)])
 def test_the_stream_says_what_a_decoder_must_hold(codec, reordered):
     """Without that in the VUI some decoders hold 16 pictures back."""
     coded = encode_gop(ClosedGop(pictures(9 if codec.between else 1), 0, 1000), codec)
@@ -139,7 +147,7 @@ def test_the_stream_says_what_a_decoder_must_hold(codec, reordered):
     assert reordered <= sps["max_dec_frame_buffering"] == sps["max_num_ref_frames"] <= (16 if codec.between else 1)
 
 
-@pytest.mark.parametrize("codec", [key_codec("ultrafast"), state_codec("veryslow")])
+@pytest.mark.parametrize("codec", [keyframe_codec("ultrafast"), delta_codec("veryslow")])
 @pytest.mark.parametrize(("size", "rate"), [((3072, 3072), 24), ((2048, 2048), 120)])
 def test_no_level_is_higher_than_decoders_have(codec, size, rate):
     """16 reference pictures of 36,864 macroblocks would be level 6, 120 pictures of 2048x2048 a second level 5.2."""

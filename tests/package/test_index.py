@@ -126,8 +126,8 @@ def test_what_a_page_that_cannot_be_read_leads_to_is_not_looked_for_and_its_segm
 def long():
     """The tables of two hours, as large as those of a scene with three tiers and qualities and five levels."""
     m = tiny_manifest(
-        groups=(FRAMES,), fps=(30, 1), key_bytes=((30_000, 20_000, 10_000),) * 3,
-        state_bytes=(50_000, 40_000, 30_000, 20_000, 10_000), psnr=((40.0, 39.0, 38.0),) * 5,
+        groups=(FRAMES,), fps=(30, 1), keyframe_bytes=((30_000, 20_000, 10_000),) * 3,
+        delta_bytes=(50_000, 40_000, 30_000, 20_000, 10_000), psnr=((40.0, 39.0, 38.0),) * 5,
     )  # fmt: skip
     group, groups = m.groups[0], []
     for n in range(GROUPS):

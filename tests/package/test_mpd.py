@@ -18,7 +18,7 @@ from tests.support.manifests import tiny_manifest, with_segments
 from tests.support.mutations import apply, edit_text
 
 NS = "{urn:mpeg:dash:schema:mpd:2011}"
-STATE_SET = f"{NS}Period/{NS}AdaptationSet"
+DELTA_SET = f"{NS}Period/{NS}AdaptationSet"
 
 
 def with_a_still_segment(levels=(0, 1, 2), number=1):
@@ -36,11 +36,11 @@ LIVE = replace(TINY, live=True)
 STILL, LATE = with_a_still_segment(), with_a_still_segment(levels=[2], number=0)
 TWO = [{"t": "0", "d": "1000", "r": "1"}]
 ALL = [{"t": "0", "d": "1000"}, {"d": "500"}, {"d": "1000"}]
-MANIFESTS = {  # and the timelines of their states: in the set, and in each representation
+MANIFESTS = {  # and the timelines of their deltas: in the set, and in each representation
     "equal groups": (TINY, [TWO], []),
     "unequal groups": (tiny_manifest(groups=(10, 10, 3, 20, 20, 7)),
                        [[*TWO, {"d": "300"}, {"d": "2000", "r": "1"}, {"d": "700"}]], []),
-    "a level without files": (tiny_manifest(state_bytes=(2000, 0)), [TWO], []),
+    "a level without files": (tiny_manifest(delta_bytes=(2000, 0)), [TWO], []),
     "still segments": (STILL, [ALL], []),
     "a still segment of one level": (with_a_still_segment(levels=[2]), [ALL], []),
     "a late level": (LATE, [], [ALL, ALL, [{"t": "1000", "d": "500"}, {"d": "1000"}]]),
@@ -62,10 +62,10 @@ def reason_of(data, m=TINY):
 
 @pytest.mark.parametrize(("m", "shared", "own"), MANIFESTS.values(), ids=MANIFESTS)
 def test_equal_timelines_stand_once_in_the_set_and_others_in_each_representation(m, shared, own):
-    state = ET.fromstring(write_mpd(m)).find(STATE_SET)
+    delta = ET.fromstring(write_mpd(m)).find(DELTA_SET)
     timeline = f"{NS}SegmentTemplate/{NS}SegmentTimeline"
-    assert [[s.attrib for s in t] for t in state.findall(timeline)] == shared
-    assert [[s.attrib for s in t] for t in state.findall(f"{NS}Representation/{timeline}")] == own
+    assert [[s.attrib for s in t] for t in delta.findall(timeline)] == shared
+    assert [[s.attrib for s in t] for t in delta.findall(f"{NS}Representation/{timeline}")] == own
 
 
 @pytest.mark.parametrize("m", [m for m, *_ in MANIFESTS.values()], ids=MANIFESTS)
@@ -106,9 +106,9 @@ def test_a_growing_package_names_its_time_and_whose_clock_counts():
 
 def test_a_still_segment_leaves_no_gap_in_a_timeline_and_nothing_stands_for_a_level_before_its_first_file():
     """Files are numbered as shaka and dash.js number them: from startNumber on, one after the other."""
-    state, tier, _ = (row.representations for row in Streams.of(STILL).sets())
-    assert files_of(state[0]) == files_of(tier[0]) == [(1, 0, 1000), (2, 1000, 500), (3, 1500, 1000)]
-    assert state[0].timeline == tier[0].timeline
+    delta, tier, _ = (row.representations for row in Streams.of(STILL).sets())
+    assert files_of(delta[0]) == files_of(tier[0]) == [(1, 0, 1000), (2, 1000, 500), (3, 1500, 1000)]
+    assert delta[0].timeline == tier[0].timeline
     assert not [s for s in ET.fromstring(write_mpd(STILL)).iter(f"{NS}S") if s.get("n") or s.get("t", "0") != "0"]
     levels = next(iter(Streams.of(LATE).sets())).representations
     assert files_of(levels[2]) == [(2, 1000, 500), (3, 1500, 1000)] and not list(still_files(LATE))
@@ -116,20 +116,20 @@ def test_a_still_segment_leaves_no_gap_in_a_timeline_and_nothing_stands_for_a_le
 
 def test_a_still_file_is_a_picture_for_as_long_as_nothing_moves_in_growing_and_whole_packages():
     stills, streams = dict(still_files(STILL)), Streams(STILL)
-    assert list(stills) == ["state/L0/2.m4s", "state/L1/2.m4s", "state/L2/2.m4s"]
+    assert list(stills) == ["delta/L0/2.m4s", "delta/L1/2.m4s", "delta/L2/2.m4s"]
     assert [list(streams.add(group)) for group in STILL.groups] == [[], list(stills), []]
-    with av.open(io.BytesIO(init_segment(1000, 64, 64) + stills["state/L1/2.m4s"])) as container:
+    with av.open(io.BytesIO(init_segment(1000, 64, 64) + stills["delta/L1/2.m4s"])) as container:
         (frame,) = container.decode(video=0)
         stream = container.streams.video[0]
         assert (frame.pts, stream.time_base, frame.duration) == (1000, Fraction(1, 1000), 500)
     assert (frame.width, frame.height) == (64, 64) and (frame.to_ndarray()[:64] == 128).all()
 
 
-@pytest.mark.parametrize(("sizes", "state"), [((2000, 0), [["L0"]]), ((0, 0), [])])
-def test_a_level_without_files_is_not_listed_and_a_regular_sequence_makes_no_longer_mpd(sizes, state):
-    short, long = (tiny_manifest(state_bytes=sizes, groups=(10,) * count) for count in (10, 1000))
+@pytest.mark.parametrize(("sizes", "delta"), [((2000, 0), [["L0"]]), ((0, 0), [])])
+def test_a_level_without_files_is_not_listed_and_a_regular_sequence_makes_no_longer_mpd(sizes, delta):
+    short, long = (tiny_manifest(delta_bytes=sizes, groups=(10,) * count) for count in (10, 1000))
     found = [[r.id for r in row.representations] for row in Streams.of(short).sets()]
-    assert found == [*state, ["T0/Q0", "T0/Q1"], ["T1/Q0", "T1/Q1"]]
+    assert found == [*delta, ["T0/Q0", "T0/Q1"], ["T1/Q0", "T1/Q1"]]
     assert len(write_mpd(long)) - len(write_mpd(short)) < 50
 
 
@@ -157,9 +157,9 @@ EDITS = {
     "location": ("<Period", "<Location>http://example.com/a.mpd</Location><Period", "foreign_url"),
     "base address": ("<AdaptationSet", "<BaseURL>http://example.com/</BaseURL><AdaptationSet", "foreign_url"),
     "xlink": ("<AdaptationSet", "<AdaptationSet" + XLINK, "foreign_url"),
-    "parent folder": ('media="state/', 'media="../state/', "foreign_url"),
+    "parent folder": ('media="delta/', 'media="../delta/', "foreign_url"),
     "absolute path": ('initialization="', 'initialization="/', "foreign_url"),
-    "another file": ('media="state/$RepresentationID$/', 'media="state/L1/', "mpd_mismatch"),
+    "another file": ('media="delta/$RepresentationID$/', 'media="delta/L1/', "mpd_mismatch"),
     "segment list": ("<SegmentTemplate", "<SegmentList/><SegmentTemplate", "bad_mpd"),
     "template elsewhere": ("</SegmentTemplate>", "</SegmentTemplate>" + ELSEWHERE, "foreign_url"),
     "second template": ("</SegmentTemplate>", "</SegmentTemplate><SegmentTemplate/>", "bad_mpd"),
@@ -200,16 +200,16 @@ def test_a_doctype_cannot_hide_in_another_encoding(encoding):
 @pytest.mark.parametrize(("what", "to", "stays", "reason"), [
     ("SegmentTemplate", "a level", True, "bad_mpd"),
     ("SegmentTemplate", "nowhere", False, "bad_mpd"),
-    ("Representation", "keys", False, "mpd_mismatch"),
+    ("Representation", "keyframes", False, "mpd_mismatch"),
 ])  # fmt: skip
 def test_what_stands_in_another_element_is_refused(what, to, stays, reason):
     root = ET.fromstring(write_mpd(TINY))
-    state, keys, *_ = root.findall(STATE_SET)
-    places = {"a level": state.find(f"{NS}Representation"), "keys": keys, "nowhere": ET.Element("x")}
-    moved = state.findall(NS + what)[-1]
+    delta, keyframes, *_ = root.findall(DELTA_SET)
+    places = {"a level": delta.find(f"{NS}Representation"), "keyframes": keyframes, "nowhere": ET.Element("x")}
+    moved = delta.findall(NS + what)[-1]
     places[to].append(copy.deepcopy(moved))
     if not stays:
-        state.remove(moved)
+        delta.remove(moved)
     assert reason_of(ET.tostring(root)) == reason
 
 

@@ -134,10 +134,10 @@ def test_players_are_told_what_files_are_and_reading_checks_as_on_disk():
         assert store.get(name).attributes == told
     package = faces.open_files(Bucket("memory", store))
     assert package.mpd_bytes == (OTHER / MPD_NAME).stat().st_size
-    assert package.read("key/T0/1.bin") == (OTHER / "key/T0/1.bin").read_bytes()
-    store.delete("key/T0/1.bin")
+    assert package.read("keyframe/T0/1.bin") == (OTHER / "keyframe/T0/1.bin").read_bytes()
+    store.delete("keyframe/T0/1.bin")
     with pytest.raises(FormatError, match="missing_file"):
-        package.read("key/T0/1.bin")
+        package.read("keyframe/T0/1.bin")
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +149,7 @@ def whole():
 def growing(whole, tmp_path):
     folder, now = Folder(tmp_path), datetime(2026, 1, 1, tzinfo=UTC)
     for name, data in read_files(PAGED).items():
-        if name.startswith(("key/", "state/", "init")):
+        if name.startswith(("keyframe/", "delta/", "init")):
             folder.write(name, data)
     m = replace(whole, live=True, frames=whole.groups[0].stop, groups=faces.Groups.of(whole.groups[:1]))
     faces.write_tables(folder, m, faces.LiveClock(now, now))

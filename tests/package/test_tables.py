@@ -36,9 +36,9 @@ def channels(text):
     return list(range(numbers[0], last + 1))
 
 
-@pytest.mark.parametrize(("layout", "steps"), [(KEY, "key_steps"), (STATE, "state_steps")], ids=["key", "state"])
+@pytest.mark.parametrize(("layout", "steps"), [(KEY, "keyframe_steps"), (STATE, "delta_steps")], ids=["key", "state"])
 def test_the_format_lists_the_same_channels_in_the_same_order(layout, steps):
-    """Rows of the table of key or state channels have channels, value and step."""
+    """Rows of the table of key or delta channels have channels, value and step."""
     section = FORMAT.split("## 5.")[1].split("## 6.")[0]
     rows = section.split(f"| {layout.kind} channel |")[1].split("\n\n")[0].splitlines()[2:]
     index = layout.attribute_index(layout.width(COLOURS))
@@ -58,17 +58,24 @@ def test_the_format_lists_the_same_channels_in_the_same_order(layout, steps):
     (faces.group_path(7200), "group/7200.json.gz", FileKind.MANIFESTS, ("group", (7200,))),
     (faces.page_path(2, 1), "index/2/1.json", FileKind.MANIFESTS, ("page", (2, 1))),
     (faces.INIT_NAME, "init.mp4", FileKind.INIT, ("", ())),
-    (faces.key_media_path(1, 12, 3), "key/T1/Q12/3.m4s", FileKind.KEY, ("key", (1, 12, 3))),
-    (faces.state_media_path(2, 3), "state/L2/3.m4s", FileKind.STATE, ("state", (2, 3))),
-    (faces.key_sidecar_path(0, 30), "key/T0/30.bin", FileKind.SIDECARS, ("sidecar", (0, 30))),
+    (faces.keyframe_media_path(1, 12, 3), "keyframe/T1/Q12/3.m4s", FileKind.KEY, ("key", (1, 12, 3))),
+    (faces.delta_media_path(2, 3), "delta/L2/3.m4s", FileKind.STATE, ("state", (2, 3))),
+    (faces.keyframe_sidecar_path(0, 30), "keyframe/T0/30.bin", FileKind.SIDECARS, ("sidecar", (0, 30))),
 ])  # fmt: skip
 def test_what_a_file_carries_follows_from_its_path(path, written, kind, place):
     assert (path, faces.file_kind(path), faces.locate(path)) == (written, kind, place)
 
 
 def test_other_paths_are_no_paths_of_a_package():
-    others = ["", "key/T0/0.bin", "key/T01/1.bin", "key/T0/1.bin/..", "../key/T0/1.bin", "state/L0/x.m4s"]
-    for path in (*others, "group/1.json", "state/P1/L0/1.m4s"):
+    others = [
+        "",
+        "keyframe/T0/0.bin",
+        "keyframe/T01/1.bin",
+        "keyframe/T0/1.bin/..",
+        "../keyframe/T0/1.bin",
+        "delta/L0/x.m4s",
+    ]
+    for path in (*others, "group/1.json", "delta/P1/L0/1.m4s"):
         assert faces.locate(path) == ("", ()), path
 
 
@@ -228,7 +235,7 @@ def test_a_table_that_would_cost_far_more_than_its_file_is_refused_before_it_is_
     *((TEXT.decode().encode(encoding), "not_json", "") for encoding in ("utf-8-sig", "utf-16", "utf-32")),
     (b"[]", "wrong_type", ""),
     (changed(JSON_NAME, {"timescale": 30000.5}), "wrong_type", ".timescale"),
-    *((changed(JSON_NAME, {"key_gain": 10**n}), "bad_value", ".key_gain") for n in (309, 400, 4000)),
+    *((changed(JSON_NAME, {"keyframe_gain": 10**n}), "bad_value", ".keyframe_gain") for n in (309, 400, 4000)),
     (changed(JSON_NAME, {"attribution": "\ud800"}), "bad_value", ".attribution"),  # half of a surrogate pair
 ])  # fmt: skip
 def test_what_is_not_a_table_is_refused(text, reason, where):
@@ -245,7 +252,7 @@ def test_a_whole_number_may_have_a_point_and_text_a_surrogate_pair():
 @pytest.mark.ffmpeg
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="the ffmpeg command line is not installed")
 @pytest.mark.parametrize("name", ["moving", "two-groups-sh1"])
-def test_ffmpeg_reads_the_mpd_and_decodes_every_state_frame(name):
+def test_ffmpeg_reads_the_mpd_and_decodes_every_delta_frame(name):
     package = open_package(CORPUS / "valid" / name)
     m = package.manifest
     for level in range(len(m.levels)):

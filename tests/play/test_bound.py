@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests import faces
 from tests.faces import NONE, Horizon, Offers, SessionSettings, Slot, simulate, solve_horizon
-from tests.support.manifests import keeping, keys, link, play, tiny_manifest
+from tests.support.manifests import keeping, keyframes, link, play, tiny_manifest
 from tools.lab.numerics.outcome import BOUNDED, EXACT, UNFIT
 from tools.lab.numerics.plans import KINDS, judge_margin, offer, solved
 
@@ -20,7 +20,7 @@ CORE = tiny_manifest(psnr=((40.0, 30.0), (38.0, 29.0), (34.0, 28.0)))
 CORE = Offers(replace(CORE, levels=[*CORE.levels[:2], replace(CORE.levels[2], tiers=1)]), 0)
 KEPT = Offers(keeping(tiny_manifest()), 0, 1000)
 FOUR = Offers(keeping(keeping(tiny_manifest(groups=(10,) * 4)), 4), 0)  # the third group, between, stands by itself
-FIRST = frozenset({(0, 0, 0)})  # the finest keys of the first tier
+FIRST = frozenset({(0, 0, 0)})  # the finest keyframes of the first tier
 ONE_GROUP = [True, False]
 
 
@@ -39,15 +39,15 @@ def horizon(*capacities, released=None, decoded=NONE, starts=None, offers=OFFERS
     # 6300 B for the first, 3800 (36 dB) or 5300 (38 dB) for the second: both best only if the first leaves some.
     (horizon(6300, 11600), (40 + 38) / 2, None),
     (horizon(6300, 8400), (38 + 35) / 2, 2800),
-    # Keys are paid once a group, also those of a quality of which some are decoded; a byte less is not enough.
+    # Keyframes are paid once a group, also those of a quality of which some are decoded; a byte less is not enough.
     (horizon(6300, 8400, starts=ONE_GROUP), 40, 6300),
     (horizon(6300, 8399, starts=ONE_GROUP), (40 + 38) / 2, None),
     (horizon(2100, decoded=keys(2), starts=[False]), 40, 2100),
     (horizon(3200, decoded=FIRST, starts=[False]), 40, 3200),
     (horizon(3199, decoded=FIRST, starts=[False]), 38, 2200),
-    # Bytes for 38 dB and then the smallest state: not for 40 and coarser keys in place of those that were fetched.
+    # Bytes for 38 dB and then the smallest delta: not for 40 and coarser keyframes in place of those that were fetched.
     (horizon(6300, 6300, starts=ONE_GROUP), (38 + 34) / 2, None),
-    # In a sequence of one segment, keys are fetched again in the second loop.
+    # In a sequence of one segment, keyframes are fetched again in the second loop.
     (horizon(2100, 2100 + 6300, decoded=keys(2), starts=[False, True], at=[0, 0]), 40, 2100),
     (horizon(2100, 2100 + 6299, decoded=keys(2), starts=[False, True], at=[0, 0]), (40 + 38) / 2, None),
     # What is shown longer counts for more: bytes for one best rung, and one that is 2 dB worse, go to the three.
@@ -83,9 +83,9 @@ def test_another_quality_than_the_bases_needs_the_base_in_that_quality():
     assert sizes[q0] == 3000 + 200 + 2100
     assert sizes[q1] == 1000 + 200 + (1000 + 500 + 200) + 2100
     batch = KEPT.offer(1).missing(q1, keys(2))
-    assert batch.keys == (
-        *("key/T0/2.bin", "key/T0/Q1/2.m4s", "key/T0/1.bin", "key/T0/Q1/1.m4s"),
-        *("key/T1/2.bin", "key/T1/1.bin", "key/T1/Q1/1.m4s"),
+    assert batch.keyframes == (
+        *("keyframe/T0/2.bin", "keyframe/T0/Q1/2.m4s", "keyframe/T0/1.bin", "keyframe/T0/Q1/1.m4s"),
+        *("keyframe/T1/2.bin", "keyframe/T1/1.bin", "keyframe/T1/Q1/1.m4s"),
     )
     assert KEPT.wire_bytes(batch.files) == sizes[q1]
 
@@ -100,7 +100,7 @@ def test_what_has_no_schedule():
 
 @pytest.mark.parametrize("pipelined", [True, False])
 def test_the_oracle_pays_only_round_trips_that_its_player_pays(pipelined):
-    """A second of the best rung takes 6300 B, and keys of every group; the link carries 8 % more than that.
+    """A second of the best rung takes 6300 B, and keyframes of every group; the link carries 8 % more than that.
 
     A pipelined player keeps such a link busy in spite of round trips of 0.3 s, and the plan must count on it.
     """

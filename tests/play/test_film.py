@@ -62,10 +62,10 @@ def test_a_session_has_a_picture_for_every_tick_and_they_have_a_bound(size, show
 def test_every_rung_has_its_sound_first_and_until_it_is_there():
     offer = Offers(SOUNDING, 0).offer(1)
     for rung in range(len(offer.rungs)):
-        assert offer.missing(rung, NONE).keys[0] == sound_path(2)
-        keys = frozenset(of.key for of in offer.rungs[rung].keys)
-        in_keys = offer.bytes_after(offer, NONE)[0, rung] - offer.rungs[rung].state_bytes
-        assert offer.sizes(NONE)[rung] - offer.sizes(keys)[rung] == in_keys
+        assert offer.missing(rung, NONE).keyframes[0] == sound_path(2)
+        keyframes = frozenset(of.keyframe for of in offer.rungs[rung].keyframes)
+        in_keyframes = offer.bytes_after(offer, NONE)[0, rung] - offer.rungs[rung].delta_bytes
+        assert offer.sizes(NONE)[rung] - offer.sizes(keyframes)[rung] == in_keyframes
     assert SOUNDING.rung_files(1, 2)[:2] == [sound_path(1), sound_path(2)]
 
 

@@ -62,13 +62,13 @@ def test_a_package_is_played_from_any_server_like_in_a_simulation(server, name):
 def test_missing_and_altered_files_are_refused_as_they_come(tmp_path):
     package = open_package(PACKAGE)
     shutil.copytree(PACKAGE, tmp_path, dirs_exist_ok=True)
-    state = package.manifest.state_files(0, 0)[0]
-    (tmp_path / state).write_bytes(b"x" * package.manifest.entry(state).bytes)
-    (tmp_path / package.manifest.key_files(1, 0, 0)[1]).unlink()  # the picture of one of two qualities
+    delta = package.manifest.delta_files(0, 0)[0]
+    (tmp_path / delta).write_bytes(b"x" * package.manifest.entry(delta).bytes)
+    (tmp_path / package.manifest.keyframe_files(1, 0, 0)[1]).unlink()  # the picture of one of two qualities
     with plainly_serving(tmp_path) as port:
         log = play_url(local(port))
-    assert any(state in line and "SHA-256" in line for line in log.lost)
-    assert sum(state in line for line in log.retried) == FAST.attempts - 1 == log.metrics.retries
+    assert any(delta in line and "SHA-256" in line for line in log.lost)
+    assert sum(delta in line for line in log.retried) == FAST.attempts - 1 == log.metrics.retries
     assert any("status 404" in line for line in log.lost)
     assert log.shown[0].rung is None and log.shown[-1].rung == 1  # one level; the other quality can be had
     assert 0 < log.metrics.wasted < 1 and "asked for again" in faces.format_metrics(log)
@@ -86,7 +86,7 @@ def test_a_group_whose_table_cannot_be_had_is_lost(tmp_path):
 def test_a_link_that_falls_silent_is_given_up():
     """A server that sends all of a file but the last byte, then says nothing."""
     package = open_package(PACKAGE)
-    path, looks = package.manifest.state_files(0, 0)[0], []
+    path, looks = package.manifest.delta_files(0, 0)[0], []
     silent = {f"/p/{path}": lambda: Answer(package.read(path), wait_s=30)}
 
     def give_up(partial):
@@ -95,9 +95,9 @@ def test_a_link_that_falls_silent_is_given_up():
 
     with serve({"p": PACKAGE}, silent) as site, HttpDownloader(f"{site.url}/p") as downloader:
         offers = downloader.open()
-        tables, state = faces.Batch(tables=("group/1.json.gz",)), faces.Batch(state=(path,))
+        tables, delta = faces.Batch(tables=("group/1.json.gz",)), faces.Batch(delta=(path,))
         downloader.fetch(faces.Request(faces.BatchKind.TABLES, 0, 0, tables, 0.0, 0.0))
-        arrival = downloader.fetch(faces.Request(faces.BatchKind.STATE, 0, 0, state, 0.0, 0.0), give_up)
+        arrival = downloader.fetch(faces.Request(faces.BatchKind.DELTA, 0, 0, delta, 0.0, 0.0), give_up)
     assert arrival.abandoned and not arrival.whole and not arrival.complete
     assert arrival.at_s - arrival.first_byte_s >= 2 * 0.5
     assert looks[0].elapsed_s >= 0.5 and looks[0].bytes < looks[0].expected_bytes
@@ -138,7 +138,7 @@ def test_an_answer_that_trickles_is_broken_off_and_one_that_is_slow_is_not(part)
 READERS = opened, open_package
 ANSWERS = {  # for every file -> what is said of it, and how often the player asks
     "401": (Answer(status=401), "status 401 .the server asks for a sign-in", 1),
-    "403": (Answer(status=403), "status 403 .the server refuses: a key", 1),
+    "403": (Answer(status=403), "status 403 .the server refuses: a keyframe", 1),
     "404": (Answer(status=404), "no such file|expected a package", 1),
     "416": (Answer(status=416), "status 416", 1),
     "429": (Answer(status=429, headers={"Retry-After": "9"}), "status 429 .the server is busy", 1),

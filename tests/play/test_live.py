@@ -60,8 +60,8 @@ def test_who_joins_late_fetches_the_base_of_the_newest_group_once(tmp_path):
     m = open_package(VALID / "kept").manifest
     assert [s.segment for s in log.shown] == [1, 2] and all(s.rung == 0 for s in log.shown)
     assert [g.keeps for g in m.groups] == [None, 1, 1]
-    keys = {path for g in range(3) for t in range(m.tiers) for path in m.key_files(g, t, 0)}
-    assert log.bytes_by_kind["key"] + log.bytes_by_kind["sidecars"] == m.bytes_of(sorted(keys))
+    keyframes = {path for g in range(3) for t in range(m.tiers) for path in m.keyframe_files(g, t, 0)}
+    assert log.bytes_by_kind["keyframe"] + log.bytes_by_kind["sidecars"] == m.bytes_of(sorted(keyframes))
 
 
 def test_groups_are_looked_for_a_groups_length_after_the_last_time(tmp_path):
@@ -242,7 +242,7 @@ def remembered(package, fetcher, playout):
     """How many of each thing publisher, tables and player know."""
     tables = fetcher.tables
     known = {"tables of the publisher": package.manifest.groups._kept, "names": tables._paths}
-    known |= {"segments": tables._complete, "keys": fetcher.decoded(0)}
+    known |= {"segments": tables._complete, "keyframes": fetcher.decoded(0)}
     known |= {"downloads": fetcher.downloads, "timeline": playout.timeline}
     return {name: len(things) for name, things in known.items()}
 
@@ -273,5 +273,5 @@ def test_tables_of_a_growing_package_are_a_twentieth_of_its_media(demo_package):
     for event in live.player().play():
         if isinstance(event, faces.Arrived):
             batch = event.arrival.request.batch
-            media += sum(live.tables.offers.file_bytes(path) for path in (*batch.keys, *batch.state))
+            media += sum(live.tables.offers.file_bytes(path) for path in (*batch.keyframes, *batch.delta))
     assert media > 0 and live.table_bytes <= 0.05 * media

@@ -22,7 +22,7 @@ KEPT = keeping(tiny_manifest())
 SLOW_THEN_FAST = link([3e4, 8e6], [0, 2], 1000)
 rates = st.lists(st.sampled_from([0.0, 1e4, 5e4, 2e5, 5e6]), min_size=1, max_size=12).filter(any)
 POLICIES = "paper", "paper-no-cliff", "paper-literal", "throughput", "bola", "robust-mpc", "oracle-frame", "fixed:1"
-BAD = None, "state/L0/1.m4s", "key/T0/Q0/2.m4s", "key/T1/1.bin", "group/2.json.gz"
+BAD = None, "delta/L0/1.m4s", "keyframe/T0/Q0/2.m4s", "keyframe/T1/1.bin", "group/2.json.gz"
 
 
 def segmented(m, count=3):
@@ -63,29 +63,29 @@ TIERED = [
 TIERED = with_core(replace(TINY, groups=in_groups(TIERED)))
 SEGMENTED, COARSE_THEN_FINE = segmented(tiny_manifest(groups=(30,))), ("Q1+L2", "Q1+L2", "Q0+L2")
 HAND = {  # name -> package, link, policy or rungs by turns, rules, and what comes of it
-    # 10,000 B/s: 1000 B of airgs.json, then for each group 100 of table, and 4000 key + 2100 state + 200 sidecars.
+    # 10,000 B/s: 1000 B of airgs.json, then for each group 100 of table, and 4000 keyframe + 2100 delta + 200 sidecars.
     "a session": (TINY, EVEN, "fixed:0", {}, {"kinds": ["tables", "tables", "group", "tables", "group"],
         "sizes": [1000, 100, 6300, 100, 6300], "arrivals": [0.1, 0.11, 0.74, 0.75, 1.38], "starts": [0.74, 1.74],
         "startup_s": 0.74, "startup_requests": 1 + 1 + 5, "startup_table_bytes": 1100, "stalls": 0, "stall_s": 0,
-        "switches": 0, "frames": 20, "bytes": {"manifests": 1200, "key": 8000, "sidecars": 400, "state": 4200},
+        "switches": 0, "frames": 20, "bytes": {"manifests": 1200, "keyframe": 8000, "sidecars": 400, "delta": 4200},
         "wire_bytes": 13_800, "psnr_mean": 40.0, "delta_e_mean": 0.5, "trace_mean_bps": 8e4}),
     # 20 frames, and 0.28 s of waiting at 10 fps with the picture that stood.
     "half the rate": (tiny_manifest(psnr=[[40.0, 0.0]] * 3), HALF, "fixed:0", {}, {
         "arrivals": [0.2, 0.22, 1.48, 1.5, 2.76], "waits": [0, 0.28], "ticks": [*range(10), 9, 9, 9, *range(10, 20)],
         "stall_ratio": 0.28 / 2.28, "qoe": (2 * 40 - STALL_DB * 0.28) / 2}),
-    # A table is one file; a group has 2 tiers of 2 files and a state.
+    # A table is one file; a group has 2 tiers of 2 files and a delta.
     "headers, round trips and decoding": (TINY, link([8e4], rtt=0.1), "fixed:0",
         {"decode_frame_s": 0.05, "headers": 100}, {"arrivals": [0.21, 0.33, 1.11, 1.23, 2.01], "starts": [1.16, 2.16]}),
-    "a level with nothing to fetch costs its keys": (tiny_manifest(state_bytes=(2000, 1000, 0)), EVEN, "fixed:2", {},
-        {"sizes": [1000, 100, 4200, 100, 4200], "bytes": {"manifests": 1200, "key": 8000, "sidecars": 400}}),
+    "a level with nothing to fetch costs its keyframes": (tiny_manifest(delta_bytes=(2000, 1000, 0)), EVEN, "fixed:2", {},
+        {"sizes": [1000, 100, 4200, 100, 4200], "bytes": {"manifests": 1200, "keyframe": 8000, "sidecars": 400}}),
     # The last level does with T0; rising in the middle of a group brings T1 along, once.
     "one tier": (with_core(segmented(tiny_manifest(groups=(30,), psnr=None))), EVEN, "fixed:2", {},
-        {"bytes": {"manifests": 1100, "key": 3000, "sidecars": 100, "state": 1800}}),
+        {"bytes": {"manifests": 1100, "keyframe": 3000, "sidecars": 100, "delta": 1800}}),
     "two tiers": (with_core(segmented(tiny_manifest(groups=(30,), psnr=None))), EVEN, ("Q0+L2", "Q0+L0"), {},
-        {"bytes": {"manifests": 1100, "key": 4000, "sidecars": 200, "state": 600 + 4200}}),
-    "a loop": (TINY, FAST, "fixed:1", {}, {"bytes": {"manifests": 1200, "key": 8000, "sidecars": 400, "state": 2200}}),
-    "loops fetch keys and states again but not tables": (TINY, FAST, "fixed:1", {"loops": 2}, {
-        "bytes": {"manifests": 1200, "key": 16_000, "sidecars": 800, "state": 4400}}),
+        {"bytes": {"manifests": 1100, "keyframe": 4000, "sidecars": 200, "delta": 600 + 4200}}),
+    "a loop": (TINY, FAST, "fixed:1", {}, {"bytes": {"manifests": 1200, "keyframe": 8000, "sidecars": 400, "delta": 2200}}),
+    "loops fetch keyframes and deltas again but not tables": (TINY, FAST, "fixed:1", {"loops": 2}, {
+        "bytes": {"manifests": 1200, "keyframe": 16_000, "sidecars": 800, "delta": 4400}}),
     "half a minute by default": (TINY, FAST, "fixed:1", {"loops": None}, {"played_s": 30.0}),
     # 0.63 s of download each and 0.01 of tables: the second segment is there at 1.38 s.
     "playing begins when enough is at hand": (
@@ -103,8 +103,8 @@ HAND = {  # name -> package, link, policy or rungs by turns, rules, and what com
     "asking ahead hides the round trip": (ALIKE, link([8e4], rtt=0.1), "fixed:0", {"pipelined": True}, {
         "arrivals": [0.2, 0.31, 1.04, 1.15, 1.79, 2.42], "requests": [0, 0.2, 0.31, 1.04, 1.05, 1.69],
         "files": [1, 1, 5, 1, 6, 5]}),
-    # Both segments come in the smallest rung. Until the second begins, its state of 600 B is replaced, and then its
-    # keys, which stay decoded.
+    # Both segments come in the smallest rung. Until the second begins, its delta of 600 B is replaced, and then its
+    # keyframes, which stay decoded.
     "replacements": (TINY, EVEN, ("Q1+L2",), {"replace": True}, {
         "kinds": ["tables", "tables", "group", "tables", "group", "replacement", "replacement"],
         "sizes": [1000, 100, 2300, 100, 2300, 1100, 4200], "arrivals": [0.1, 0.11, 0.34, 0.35, 0.58, 0.69, 1.11],
@@ -122,49 +122,49 @@ HAND = {  # name -> package, link, policy or rungs by turns, rules, and what com
     "no replacement within a round trip": (
         TINY, link([8e4], rtt=0.3), ("Q1+L2",), {"replace": True}, {"starts": [1.24, 2.24], "replaced": 0}),
     # Of 6300 B 3385 have passed at the first look, half a second after the first byte; the files share the link, so
-    # that two sidecars and the keys of T1 are whole, and stay. What is left is more than all of the smallest rung.
+    # that two sidecars and the keyframes of T1 are whole, and stay. What is left is more than all of the smallest rung.
     "a download that would come too late is given up": (
         TINY, link([8e4, 4e3, 8e4], [0, 0.44, 1], 100), ("Q0+L0", "Q1+L2"), {"abandon": True},
         {"sizes": [1000, 100, 3385, 2300, 100, 2300], "arrivals": [0.1, 0.11, 0.61, 1.2105, 1.2205, 1.4505],
          "waste": [0, 0, 3385 - 200 - 1000, 0, 0, 0], "abandoned": 1, "rungs shown": ["Q1+L2"] * 2,
-         "bytes": {"manifests": 1200, "key": 1000 + 3000, "sidecars": 200 + 400, "state": 1200},
+         "bytes": {"manifests": 1200, "keyframe": 1000 + 3000, "sidecars": 200 + 400, "delta": 1200},
          "startup_requests": 1 + 1 + 3 + 5}),
     "a patient player waits longer for it": (TINY, link([8e4, 4e3, 8e4], [0, 0.44, 1], 100), ("Q0+L0", "Q1+L2"), {},
         {"sizes": [1000, 100, 6300, 100, 2300], "startup_s": 1.272, "abandoned": 0, "waste": [0] * 5}),
-    # The third segment, there at 0.88 s, brings the finest keys, also for the second, which begins at 1.34 s: but not
-    # on half the link with 0.1 s to decode, at 1.86 s for 1.78 s, nor for another group or the loop before.
-    "better keys serve what is buffered of their group": (
+    # The third segment, there at 0.88 s, brings the finest keyframes, also for the second, which begins at 1.34 s: but
+    # not on half the link with 0.1 s to decode, at 1.86 s for 1.78 s, nor for another group or the loop before.
+    "better keyframes serve what is buffered of their group": (
         SEGMENTED, EVEN, COARSE_THEN_FINE, {}, {"rungs shown": ["Q1+L2", "Q0+L2", "Q0+L2"]}),
     "where they are decoded in time": (
         SEGMENTED, HALF, COARSE_THEN_FINE, {"decode_frame_s": 0.1}, {"rungs shown": [*COARSE_THEN_FINE]}),
     "of no other group": (ALIKE, EVEN, COARSE_THEN_FINE, {}, {"rungs shown": [*COARSE_THEN_FINE]}),
     "of no other loop": (SEGMENTED, EVEN, ("Q1+L2", *COARSE_THEN_FINE), {"loops": 2},
         {"rungs shown": ["Q1+L2"] * 3 + ["Q0+L2"] * 3}),
-    # Six segments in one group: the first comes with coarse keys, of 1500 B, the second with fine ones, of 4000 B.
-    "a better key serves the rest of its group": (segmented(tiny_manifest(groups=(60,)), 6),
+    # Six segments in one group: the first comes with coarse keyframes, of 1500 B, the second with fine ones, of 4000 B.
+    "a better keyframe serves the rest of its group": (segmented(tiny_manifest(groups=(60,)), 6),
         link([2.4e4, 8e6], [0, 1.2], 1000), "robust-mpc", {}, {"rungs shown": ["Q1+L1", "Q0+L1"] + ["Q0+L0"] * 4,
-        "bytes": {"manifests": 1100, "key": 1500 + 4000, "sidecars": 400, "state": 10_600},
-        "kinds": ["tables", "tables", "group", "state", "group", "state", "state", "state"]}),
+        "bytes": {"manifests": 1100, "keyframe": 1500 + 4000, "sidecars": 400, "delta": 10_600},
+        "kinds": ["tables", "tables", "group", "delta", "group", "delta", "delta", "delta"]}),
     # The second group keeps rows: of 3000 + 1000 B of pictures it has the first tier's alone, with both sidecars.
     "kept rows are not fetched again": (KEPT, EVEN, "fixed:0", {}, {"sizes": [1000, 100, 6300, 100, 5300]}),
     "but in each loop": (KEPT, EVEN, "fixed:0", {"loops": 2}, {"sizes": [1000, 100, 6300, 100, 5300, 6300, 5300]}),
-    # Who joins there needs airgs.json, the table of the group, then that of its base, and the keys of that.
+    # Who joins there needs airgs.json, the table of the group, then that of its base, and the keyframes of that.
     "who joins fetches the base": (KEPT, EVEN, "fixed:0", {"first": 1}, {"sizes": [1000, 100, 100, 9500]}),
     "once for two that differ from it": (
         keeping(keeping(ALIKE), 3), EVEN, "fixed:0", {"first": 1}, {"sizes": [1000, 100, 100, 9500, 100, 5300]}),
     **{f"without {path} of its base a group is lost, and the next one is not": (
         keeping(ALIKE), EVEN, "fixed:0", {"faults": missing(path)}, {"rungs shown": [None, None, "Q0+L0"]},
-    ) for path in ("group/1.json.gz", "key/T0/1.bin")},
-    "a group without its key is lost, and the last picture stands for its time": (
-        TINY, FAST, "paper-no-cliff", {"faults": missing("key/T0/1.bin")},
+    ) for path in ("group/1.json.gz", "keyframe/T0/1.bin")},
+    "a group without its keyframe is lost, and the last picture stands for its time": (
+        TINY, FAST, "paper-no-cliff", {"faults": missing("keyframe/T0/1.bin")},
         {"rungs shown": [None, "Q0+L0"], "lost_frames": 10, "psnr_mean": 40.0, "waits": [0, 0]}),
     "all is lost": (TINY, FAST, "paper-no-cliff", {"faults": missing(*TINY.group_files(0), *TINY.group_files(1))},
         {"rungs shown": [None, None], "psnr_mean": None, "lost_frames": 20, "rungs": {"lost": 2}}),
     **{f"a missing table costs {policy} its group": (ALIKE, FAST, policy, {"faults": missing("group/2.json.gz")},
         {"rungs shown": ["Q0+L0", None, "Q0+L0"], "lost_frames": 10}) for policy in ("paper-no-cliff", "robust-mpc")},
-    "a missing state costs its level": (TINY, FAST, "paper-no-cliff", {"faults": missing("state/L0/2.m4s")},
+    "a missing delta costs its level": (TINY, FAST, "paper-no-cliff", {"faults": missing("delta/L0/2.m4s")},
         {"rungs shown": ["Q0+L0", "Q0+L1"], "lost_frames": 0, "files": [1, 1, 5, 1, 5, 1],
-        "bytes": {"manifests": 1200, "key": 8000, "sidecars": 400, "state": 2100 + 1100}}),
+        "bytes": {"manifests": 1200, "keyframe": 8000, "sidecars": 400, "delta": 2100 + 1100}}),
     "no quality": (UNMEASURED, FAST, "fixed:0", {}, {"psnr_mean": None, "delta_e_mean": None, "qoe": None}),
 }  # fmt: skip
 
@@ -177,7 +177,7 @@ def test_sessions_by_hand(name):
         assert got[what] == pytest.approx(value), what
 
 
-@pytest.mark.parametrize("options", [{}, {"psnr": None}, {"state_bytes": (2000, 1000, 0)}], ids=str)
+@pytest.mark.parametrize("options", [{}, {"psnr": None}, {"delta_bytes": (2000, 1000, 0)}], ids=str)
 def test_the_test_manifest_is_a_manifest(options):
     m = tiny_manifest(**options)
     faces.check_root(faces.root_of(m))
@@ -205,7 +205,7 @@ def test_the_buffer_holds_requests_back_and_a_full_one_lets_nobody_ask_before_th
 @pytest.mark.parametrize(("rate", "rung", "why"), [
     (8e7, "Q0+L0", "B fit"), (8e18, "Q0+L0", "B fit"), (2e4, "Q1+L2", "nothing fits"),
 ])  # fmt: skip
-def test_key_quality_and_level_are_chosen_together_from_the_first_choice_on(rate, rung, why):
+def test_keyframe_quality_and_level_are_chosen_together_from_the_first_choice_on(rate, rung, why):
     log = play(TINY, link([rate]), "paper-no-cliff")
     assert [NAMES[s.rung] for s in log.shown] == [rung] * 2
     assert all(why in f.reason for f in log.fetches if f.kind == "group")
@@ -230,7 +230,7 @@ def test_buffered_segments_are_replaced_by_better_ones_in_time():
     """A slow second, then a fast link: what waits in the buffer is fetched again, the first one is on the screen."""
     kept, better, lost = (
         play(TINY, SLOW_THEN_FAST, "paper-no-cliff", buffer_s=4.0, loops=4, replace=it, faults=faults)
-        for it, faults in ((False, {}), (True, {}), (True, missing("key/T0/Q0/1.m4s")))
+        for it, faults in ((False, {}), (True, {}), (True, missing("keyframe/T0/Q0/1.m4s")))
     )
     replaced = [f for f in better.fetches if f.kind is BatchKind.REPLACEMENT]
     assert replaced and better.mean_quality > kept.mean_quality
@@ -243,14 +243,14 @@ def test_buffered_segments_are_replaced_by_better_ones_in_time():
 
 
 def test_what_was_lost_is_told_once_and_a_corrupt_file_travels_before_it_is_found_wrong():
-    group, path, key = "group/2.json.gz", "state/L0/2.m4s", "key/T0/1.bin"
+    group, path, keyframe = "group/2.json.gz", "delta/L0/2.m4s", "keyframe/T0/1.bin"
     broken = {path: faces.FormatError("hash_mismatch", path, "the SHA-256 differs")}
     absent, corrupt = (play(TINY, link([8e6]), "paper-no-cliff", faults=f) for f in (missing(path), broken))
     assert corrupt.fetches[4].bytes == absent.fetches[4].bytes + 2100
     assert corrupt.fetches[4].wasted > absent.fetches[4].wasted
-    table, state, lost = (play(ALIKE, link([8e6]), "robust-mpc", faults=missing(p)) for p in (group, path, key))
-    assert sum(group in line for line in table.lost) == 1 and path in state.lost[0]
-    assert key in lost.lost[0] and "frames 0-9" in lost.lost[-1] and "lost" in faces.format_metrics(lost)
+    table, delta, lost = (play(ALIKE, link([8e6]), "robust-mpc", faults=missing(p)) for p in (group, path, keyframe))
+    assert sum(group in line for line in table.lost) == 1 and path in delta.lost[0]
+    assert keyframe in lost.lost[0] and "frames 0-9" in lost.lost[-1] and "lost" in faces.format_metrics(lost)
     assert faces.session_bound(lost) is None
 
 
@@ -272,16 +272,16 @@ def test_the_bytes_of_the_next_group_are_those_that_are_then_asked_for():
     chance = np.random.default_rng(5)
     guessed = {}
 
-    def choose(state):
-        if state.position in guessed:
-            assert [option.size_bytes for option in state.options] == guessed[state.position].tolist()
-        option = state.options[chance.integers(len(state.options))]
-        (here, _), *later = itertools.islice(state.upcoming(), 2)
-        assert here is state.offer
+    def choose(delta):
+        if delta.position in guessed:
+            assert [option.size_bytes for option in delta.options] == guessed[delta.position].tolist()
+        option = delta.options[chance.integers(len(delta.options))]
+        (here, _), *later = itertools.islice(delta.upcoming(), 2)
+        assert here is delta.offer
         if later and later[0][0].starts_group:
             ((following, known),) = later
             sizes = following.bytes_after(here, known)
-            guessed[state.position + 1] = sizes[option.index if len(sizes) > 1 else 0]
+            guessed[delta.position + 1] = sizes[option.index if len(sizes) > 1 else 0]
         return Decision(option.index, True, "any", option.size_bytes)
 
     for _ in range(40):
@@ -344,7 +344,7 @@ def test_figures_of_a_session_are_what_its_batches_and_segments_say():
     fetches = list(log.fetches)
     fetches[2] = replace(fetches[2], retries=2, wasted=100)
     shown = [replace(log.shown[0], frames=5), replace(log.shown[1], rung=0, psnr=40.0)]
-    log = replace(log, fetches=fetches, shown=shown, bytes_by_kind={faces.FileKind.KEY: 3000})
+    log = replace(log, fetches=fetches, shown=shown, bytes_by_kind={faces.FileKind.KEYFRAME: 3000})
     m = log.metrics
     assert (m.bytes_per_frame, m.wasted) == (200.0, 100 / sum(f.bytes for f in fetches))
     assert (m.retries, m.replaced, m.trace_ended) == (2, 0, False)

@@ -15,7 +15,7 @@ from tests.support.manifests import link, missing, play, rules, tiny_manifest
 
 TINY = tiny_manifest()  # its rungs take 50.4 to 18.4 kbit/s
 UNMEASURED = tiny_manifest(psnr=None)
-LOST = missing(*(TINY.state_files(1, level)[0] for level in range(3)))
+LOST = missing(*(TINY.delta_files(1, level)[0] for level in range(3)))
 FAULTS, BELOW = "files had to be asked for again", "the link gave less than the lowest rung needs"
 OVER, ASKED = "less came than was expected", "the policy asked for more than the link gave"
 SHORT = "too little was buffered for what came next"
@@ -188,7 +188,7 @@ def test_studies_that_cannot_be(demo_package, options, words, capsys, tmp_path, 
 def test_damaged_packages_play_on(demo_copy, tmp_path, capsys):
     package, film = faces.open_package(demo_copy), tmp_path / "film.mp4"
     assert faces.find_faults(package) == {}
-    first, second = (package.manifest.state_files(0, j)[0] for j in (0, 1))
+    first, second = (package.manifest.delta_files(0, j)[0] for j in (0, 1))
     (demo_copy / first).unlink()
     (demo_copy / second).write_bytes(b"x" * package.manifest.entry(second).bytes)
     faults = faces.find_faults(package)
@@ -197,7 +197,7 @@ def test_damaged_packages_play_on(demo_copy, tmp_path, capsys):
     assert airgs_play([*play, "--policy", "fixed:0"]) == 0
     assert first in capsys.readouterr().out and film.exists()
     for group in range(len(package.manifest.groups)):
-        (demo_copy / package.manifest.key_files(group, 0, 0)[0]).unlink()
+        (demo_copy / package.manifest.keyframe_files(group, 0, 0)[0]).unlink()
     assert airgs_play(play) == 2
     assert "nothing can be shown" in capsys.readouterr().err
     assert airgs_play(play[:5]) == 0

@@ -20,7 +20,7 @@ from tests.support.paths import VALID
 from tests.support.servers import ask, serving
 
 PACKAGE = VALID / "two-groups-sh1"
-STATE = "state/L0/1.m4s"
+DELTA = "delta/L0/1.m4s"
 POLICY = "Content-Security-Policy"
 STRANGE = "a <b>&?#%é.airgs"
 TABLE = "group/1.json.gz"
@@ -162,7 +162,7 @@ def table_of(data, size=None):
 
 
 BAD = {  # name -> changes, and what the list says of it
-    "digits": ([set_value(("key_gain",), 10**399)], "airgs.json.key_gain: expected a finite number"),
+    "digits": ([set_value(("keyframe_gain",), 10**399)], "airgs.json.keyframe_gain: expected a finite number"),
     "index": ([set_value(("index",), [EMPTY] * 4 + [MANY]), set_value(("frames",), PAGE**4)], "index/4/1.json"),
     "bomb": (table_of(gzip.compress(b'{"repairs":[' + b"[]," * (40 << 20) + b"[]]}")), "too_large"),
     "values": (table_of(gzip.compress(b'{"repairs":[' + b"[]," * ((1 << 20) - 9) + b"[]]}")), "missing fields"),
@@ -171,7 +171,10 @@ BAD = {  # name -> changes, and what the list says of it
     "linked": ([link_file("airgs.json", "manifest.mpd")], "airgs.json: expected a package"),
     "inner link": ([link_file(TABLE, "../airgs.json")], "got a link"),
     "no mpd": ([remove_file("manifest.mpd")], "manifest.mpd: expected a package"),
-    "script": ([edit_text("airgs.json", '"key_gain"', '"<script>\\u001b\\ud800\\n"')], "unknown fields ['<script>"),
+    "script": (
+        [edit_text("airgs.json", '"keyframe_gain"', '"<script>\\u001b\\ud800\\n"')],
+        "unknown fields ['<script>",
+    ),
 }
 
 
@@ -242,11 +245,11 @@ def test_a_folder_that_may_not_be_looked_into_is_none_of_the_list(holder, monkey
 
 @pytest.mark.parametrize(("path", "expected"), [
     ("airgs.json", "application/json"),      ("group/7.json.gz", "application/gzip"),
-    ("index/1/12.json", "application/json"), ("key/T0/1.bin", "application/octet-stream"),
-    ("init.mp4", "video/mp4"),               (STATE, "video/mp4"), ("manifest.mpd", "application/dash+xml"),
-    *((path, None) for path in ("", "notes.json", "airgs.json/", "key", "key/T0/notes.txt", "x/1.bin")),
-    *((path, None) for path in ("key/../airgs.json", "key/./1.bin", "/airgs.json", "key//1.bin", "key/.b.bin")),
-    *((path, None) for path in (".airgs.json.part", "airgs.json\n", "key/T0/1.bin\0", "key\\1.bin", "key/é/1.bin")),
+    ("index/1/12.json", "application/json"), ("keyframe/T0/1.bin", "application/octet-stream"),
+    ("init.mp4", "video/mp4"),               (DELTA, "video/mp4"), ("manifest.mpd", "application/dash+xml"),
+    *((path, None) for path in ("", "notes.json", "airgs.json/", "keyframe", "keyframe/T0/notes.txt", "x/1.bin")),
+    *((path, None) for path in ("keyframe/../airgs.json", "keyframe/./1.bin", "/airgs.json", "keyframe//1.bin", "keyframe/.b.bin")),
+    *((path, None) for path in (".airgs.json.part", "airgs.json\n", "keyframe/T0/1.bin\0", "keyframe\\1.bin", "keyframe/é/1.bin")),
 ])  # fmt: skip
 def test_a_path_has_a_type_or_is_none_of_a_package(path, expected):
     assert media_type(path) == expected
@@ -254,19 +257,19 @@ def test_a_path_has_a_type_or_is_none_of_a_package(path, expected):
 
 def test_links_folders_and_what_is_no_plain_file_are_not_there(package, tmp_path):
     (tmp_path / "secret.m4s").write_bytes(b"secret")
-    (package / "state/L0/8.m4s").symlink_to(tmp_path / "secret.m4s")
-    (package / "state/L0/9.m4s").symlink_to(package / STATE)
-    (package / "state/L0/10.m4s").symlink_to("10.m4s")
-    (package / "state/L9").symlink_to(package / "state/L0")
-    (package / "state/L0/7.m4s").mkdir()
-    os.mkfifo(package / "state/L0/6.m4s")
+    (package / "delta/L0/8.m4s").symlink_to(tmp_path / "secret.m4s")
+    (package / "delta/L0/9.m4s").symlink_to(package / DELTA)
+    (package / "delta/L0/10.m4s").symlink_to("10.m4s")
+    (package / "delta/L9").symlink_to(package / "delta/L0")
+    (package / "delta/L0/7.m4s").mkdir()
+    os.mkfifo(package / "delta/L0/6.m4s")
     (tmp_path / "linked").symlink_to(package)
     for folder in (package, tmp_path / "linked"):
         with serving(folder) as port:
-            assert ask(port, f"/two.airgs/{STATE}")[0::2] == (200, (PACKAGE / STATE).read_bytes())
-            for path in (*(f"state/L0/{n}.m4s" for n in (6, 7, 8, 9, 10, 11)), "state/L9/1.m4s", f"{STATE}/1.m4s"):
+            assert ask(port, f"/two.airgs/{DELTA}")[0::2] == (200, (PACKAGE / DELTA).read_bytes())
+            for path in (*(f"delta/L0/{n}.m4s" for n in (6, 7, 8, 9, 10, 11)), "delta/L9/1.m4s", f"{DELTA}/1.m4s"):
                 assert ask(port, f"/two.airgs/{path}")[0] == 404, path
-            assert ask(port, f"/two.airgs/state/L0/{'x' * 9000}.m4s")[0] == 404
+            assert ask(port, f"/two.airgs/delta/L0/{'x' * 9000}.m4s")[0] == 404
 
 
 def test_folders_must_be_packages_of_different_names(package, tmp_path):

@@ -28,7 +28,7 @@ NAME = PACKAGE.name
 ROOT = f"/{NAME}/airgs.json"
 HEAD = {":method": "GET", ":path": ROOT, ":authority": "localhost"}  # of HTTP/2
 PATIENCE_S = 0.4
-STATE, SIZE = "state/L0/1.m4s", 32 << 20
+STATE, SIZE = "delta/L0/1.m4s", 32 << 20
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +116,7 @@ def test_pages_of_other_origins_may_ask_for_ranges_and_read_tags(port):
 @pytest.mark.parametrize("target", [
     *("/../../etc/passwd", "/%ff%fe/airgs.json", "/other/airgs.json", "/other/", f"/{NAME}", "*"),
     *(f"/{NAME}/{to}" for to in ("../moving/airgs.json", "%2e%2e/moving/airgs.json", "..%2fmoving%2fairgs.json")),
-    *(f"/{NAME}/{path}" for path in ("/etc/passwd", "key/..%5c..%5cairgs.json", ".airgs.json.part", "key")),
+    *(f"/{NAME}/{path}" for path in ("/etc/passwd", "keyframe/..%5c..%5cairgs.json", ".airgs.json.part", "key")),
     f"/{NAME}/airgs.json%00.m4s",
 ])  # fmt: skip
 def test_nothing_else_is_served(port, target):

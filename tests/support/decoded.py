@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import GREY, plane_starts, row_places
-from airgs_codec.decoder.decode import _read_key
+from airgs_codec.decoder.decode import _read_keyframe
 from airgs_codec.render import cpu
 from tests.faces import Atlas, Camera, Package, decode_canonical, decode_frames, decode_pictures
 
@@ -39,7 +39,7 @@ class Blob:
 
 @dataclass(frozen=True)
 class Rung:
-    """What a viewer shows: indices of key quality and level, and how many key tiers it has; None: all it asks for."""
+    """What a viewer shows: indices of keyframe quality and level, and how many keyframe tiers it has; None: all it asks for."""
 
     quality: int
     level: int
@@ -85,7 +85,7 @@ class _Writer:
 
     def table(self, cameras: Sequence[Camera]) -> Json:
         m, level, quality = self.package.manifest, self.rung.level, self.rung.quality
-        frames = decode_frames(self.package, 0, m.frames, level=level, key_quality=quality, tiers=self.tiers)
+        frames = decode_frames(self.package, 0, m.frames, level=level, keyframe_quality=quality, tiers=self.tiers)
         shown, groups = [], []
         for g in (frame.gaussians for frame in frames):
             pictures = [self.blob.add(cpu.render(g, camera).rgb) for camera in cameras]
@@ -119,14 +119,14 @@ class _Writer:
     def _key(self, group: int, tier: int) -> Json | None:
         """The picture of a tier; None where it has none."""
         atlas = self.package.manifest.groups[group].tiers[tier].qualities[self.rung.quality]
-        shown, _ = _read_key(self.package, group, tier, self.rung.quality)
+        shown, _ = _read_keyframe(self.package, group, tier, self.rung.quality)
         return None if shown is None else self._picture(shown.luma[0], atlas, _dense(atlas, shown.luma[1]))
 
     def _states(self, index: int) -> list[Json]:
         """Every frame of a segment; none where there is nothing to fetch."""
         m, level, before = self.package.manifest, self.rung.level, None
         out: list[Json] = []
-        if not m.state_files(index, level):
+        if not m.delta_files(index, level):
             return out
         frames = range(m.segments[index].stop - m.segments[index].start)
         for state in decode_pictures(self.package, index, level, frames):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from airgs_codec.coding.atlas import read_codes
-from airgs_codec.decoder.decode import decode_key, decode_pictures
+from airgs_codec.decoder.decode import decode_keyframe, decode_pictures
 
 if TYPE_CHECKING:
     from tests.faces import Manifest, Package
@@ -31,20 +31,20 @@ def digest(codes: np.ndarray) -> str:
 
 
 def digests(package: Package) -> dict[str, str]:
-    """Digest of the codes of every key tier and every frame of every state segment."""
+    """Digest of the codes of every keyframe tier and every frame of every delta segment."""
     m = package.manifest
     out = {}
     for g, group in enumerate(m.groups):
         for t, tier in enumerate(group.tiers):
             name = f"group {g} T{t}"
             for q in range(len(m.qualities) if tier.count else 0):
-                codes, sidecar = decode_key(package, g, t, q)
+                codes, sidecar = decode_keyframe(package, g, t, q)
                 out[f"{name} Q{q}"] = digest(codes)
                 out[f"{name} Q{q} means"] = sha256(sidecar.codes.astype("<u8").tobytes()).hexdigest()
                 out[f"{name} depths"] = sha256(sidecar.depths.tobytes()).hexdigest()
     for s, segment in enumerate(m.segments):
         for j in range(len(m.levels)):
-            if m.state_files(s, j):
+            if m.delta_files(s, j):
                 name = f"segment {s} L{j}"
                 slopes = decode_slopes(package, s, j)
                 if slopes is not None:
@@ -55,6 +55,6 @@ def digests(package: Package) -> dict[str, str]:
 
 
 def lined_files(m: Manifest) -> list[str]:
-    """Paths of the state files that begin with a picture of slopes, which is no frame."""
+    """Paths of the delta files that begin with a picture of slopes, which is no frame."""
     levels = ((s, j, level) for s, segment in enumerate(m.segments) for j, level in enumerate(segment.levels))
-    return [path for s, j, level in levels if level.line for path in m.state_files(s, j)]
+    return [path for s, j, level in levels if level.line for path in m.delta_files(s, j)]

@@ -61,25 +61,25 @@ def with_segments(m: Manifest, segments: Sequence[mf.Segment]) -> Manifest:
 
 
 def keys(*tiers: int, group: int = 0) -> frozenset[tuple[int, int, int]]:
-    """Keys (group, key quality, tier): so many tiers of each key quality, from the first on."""
+    """Keyframes (group, keyframe quality, tier): so many tiers of each keyframe quality, from the first on."""
     return frozenset((group, quality, tier) for quality, count in enumerate(tiers) for tier in range(count))
 
 
 def tiny_manifest(
     *, groups: Sequence[int] = (10, 10), fps: tuple[int, int] = (10, 1), sidecar_bytes: int = 100,
-    key_bytes: Sequence[Sequence[int]] = ((3000, 1000), (1000, 500)), table_bytes: int = 100,
-    state_bytes: Sequence[int] = (2000, 1000, 500),
+    keyframe_bytes: Sequence[Sequence[int]] = ((3000, 1000), (1000, 500)), table_bytes: int = 100,
+    delta_bytes: Sequence[int] = (2000, 1000, 500),
     psnr: Sequence[Floats] | None = ((40.0, 36.0), (38.0, 35.0), (34.0, 32.0)),
 ) -> Manifest:  # fmt: skip
-    """One segment a group of `groups` frames; key_bytes[tier][quality], state_bytes[level], psnr[level][quality].
+    """One segment a group of `groups` frames; keyframe_bytes[tier][quality], delta_bytes[level], psnr[level][quality].
 
-    A state segment has `sidecar_bytes` beside its pictures. A level of 0 bytes has nothing to fetch.
+    A delta segment has `sidecar_bytes` beside its pictures. A level of 0 bytes has nothing to fetch.
     """
-    tiers, qualities, levels = len(key_bytes), len(key_bytes[0]), len(state_bytes)
-    atlas, key = (mf.Atlas(10, [0] * n, [0], 16, 1, 64, 64, [0.1] * errors) for n, errors in ((13, 5), (10, 4)))
+    tiers, qualities, levels = len(keyframe_bytes), len(keyframe_bytes[0]), len(delta_bytes)
+    atlas, keyframe = (mf.Atlas(10, [0] * n, [0], 16, 1, 64, 64, [0.1] * errors) for n, errors in ((13, 5), (10, 4)))
 
     def level(j: int, frames: int) -> mf.SegmentLevel:
-        size, shown = state_bytes[j], psnr[j] if psnr else []
+        size, shown = delta_bytes[j], psnr[j] if psnr else []
         return mf.SegmentLevel(
             mf.FileEntry(size + sidecar_bytes, HASH) if size else mf.NO_FILE,
             [size // frames] * frames if size else [],
@@ -89,22 +89,22 @@ def tiny_manifest(
     def table(start: int, stop: int) -> mf.Group:
         return mf.Group(
             start=start, stop=stop, count=10 * tiers, static=0, unused=0, left_out=[], repairs=[], colour_transform="",
-            grid=mf.Grid([0, 0, 0], 0.01, 0), key_steps=mf.KeySteps(*[0.1] * 5), state_steps=mf.StateSteps(*[0.1] * 6),
-            tiers=key_tiers, levels=[atlas] * levels,
+            grid=mf.Grid([0, 0, 0], 0.01, 0), keyframe_steps=mf.KeyframeSteps(*[0.1] * 5), delta_steps=mf.DeltaSteps(*[0.1] * 6),
+            tiers=keyframe_tiers, levels=[atlas] * levels,
             segments=[mf.Segment(start, stop, [level(j, stop - start) for j in range(levels)])],
         )  # fmt: skip
 
     sidecar, stops = mf.FileEntry(sidecar_bytes, HASH), accumulate(groups)
-    key_tiers = [
-        mf.GroupTier(10, 1.0, sidecar, [key] * qualities, [mf.FileEntry(size, HASH) for size in row])
-        for row in key_bytes
+    keyframe_tiers = [
+        mf.GroupTier(10, 1.0, sidecar, [keyframe] * qualities, [mf.FileEntry(size, HASH) for size in row])
+        for row in keyframe_bytes
     ]
     return Manifest(
         version=mf.VERSION, generator=mf.Generator("test", {}, {}), attribution="", decisions=[], sh_degree=0,
-        frame_rate=list(fps), timescale=fps[0] * 100, frames=sum(groups), key_gain=3.0, state_gain=6.0, region=region(),
+        frame_rate=list(fps), timescale=fps[0] * 100, frames=sum(groups), keyframe_gain=3.0, delta_gain=6.0, region=region(),
         world=None, origin=None, poster=None, sound=None, live=False, init=mf.FileEntry(50, HASH), tiers=tiers,
         views=mf.Views(24, 12 if psnr else 0, "original" if psnr else "none"),
-        qualities=[mf.KeyQuality(f"Q{q}", 1.0 + 2 * q, q) for q in range(qualities)],
+        qualities=[mf.KeyframeQuality(f"Q{q}", 1.0 + 2 * q, q) for q in range(qualities)],
         levels=[mf.Level(f"L{j}", 0.1 * j, 1.0 + j, tiers, 0) for j in range(levels)],
         rungs=[
             [mf.RungQuality(of[q], 0.1, of[q] - 2, 0.9, 0.5 + j, 12) for j, of in enumerate(psnr)]
@@ -115,7 +115,7 @@ def tiny_manifest(
 
 
 def keeping(m: Manifest, number: int = 2, of: int = 1, pictures: Sequence[bool] = (True, False)) -> Manifest:
-    """The manifest with a group whose keys are differences; a tier of which nothing differs has no pictures."""
+    """The manifest with a group whose keyframes are differences; a tier of which nothing differs has no pictures."""
     groups, tiers = list(m.groups), []
     for tier, there in zip(groups[number - 1].tiers, pictures, strict=True):
         files = tier.pictures if there else [mf.NO_FILE] * len(tier.pictures)

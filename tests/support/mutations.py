@@ -21,7 +21,7 @@ from tests.faces import INIT_NAME, JSON_NAME, PAGE, digest, group_path, page_pat
 
 Files = dict[str, bytes]
 Mutation = Callable[[Files], Files]
-Place = tuple[str | int, ...]  # keys and indices from the root of a JSON document
+Place = tuple[str | int, ...]  # keyframes and indices from the root of a JSON document
 
 
 class Link(bytes):
@@ -97,12 +97,12 @@ def places(document: Any, above: Place = ()) -> Iterator[Place]:
     yield above
     found = dict(enumerate(document)) if isinstance(document, list) else document
     for key, inner in found.items() if isinstance(found, dict) else ():
-        yield from places(inner, (*above, key))
+        yield from places(inner, (*above, keyframe))
 
 
 def _parent(document: Any, place: Place) -> Any:
     for key in place[:-1]:
-        document = document[key]
+        document = document[keyframe]
     return document
 
 
@@ -159,12 +159,12 @@ def _entries(table: Any, number: int, segment: int) -> Iterator[tuple[str, Any]]
     if "sound" in table:
         yield faces.sound_path(number), table["sound"]
     for t, tier in enumerate(table["tiers"]):
-        yield faces.key_sidecar_path(t, number), tier["sidecar"]
+        yield faces.keyframe_sidecar_path(t, number), tier["sidecar"]
         for q, entry in enumerate(tier["pictures"]):
-            yield faces.key_media_path(t, q, number), entry
+            yield faces.keyframe_media_path(t, q, number), entry
     for s, part in enumerate(table["segments"], segment):
         for j, level in enumerate(part["levels"]):
-            yield faces.state_media_path(j, s), level["file"]
+            yield faces.delta_media_path(j, s), level["file"]
 
 
 def reindexed(files: Files) -> Files:

@@ -31,7 +31,7 @@ TIERED_LEVELS = (
     LevelSettings(0.0), LevelSettings(0.3, 1.5), LevelSettings(0.5, 2.0, 1, 1), LevelSettings(0.6, 3.0, 1, 1),
 )  # fmt: skip
 PLAIN = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", threads=1, keep_all=True)
-GROUP = 3  # frames of a group of `keys` and `rows`
+GROUP = 3  # frames of a group of `keyframes` and `rows`
 SEGMENT = 8  # frames of a segment of `lines`
 SEEN = replace(region(place(0.0)), width=96, height=72)
 TURNED = LevelSettings(0.6), LevelSettings(0.6, 2.0)  # most that swings is not updated
@@ -105,9 +105,9 @@ def kept_groups() -> list[list[Gaussians]]:
     one, other, still = random_gaussians(400, seed=1), random_gaussians(400, seed=2), random_gaussians(380)
     coloured = replace(other, sh_dc=np.concatenate([other.sh_dc[:100] + 1, other.sh_dc[100:]]))
     change = np.zeros((380, 3), np.float32)
-    change[:, 0] = 0.05 * QUICK.steps.key.sh_dc
+    change[:, 0] = 0.05 * QUICK.steps.keyframe.sh_dc
     slight = replace(still, sh_dc=still.sh_dc + change)
-    change[:100, 0] = 30 * QUICK.steps.key.sh_dc
+    change[:100, 0] = 30 * QUICK.steps.keyframe.sh_dc
     much = replace(still, sh_dc=still.sh_dc + change)
     room, doors = room_frames(5000, 2 * GROUP), [room_behind_a_door(1500, is_open) for is_open in (False, True)]
     alike = [one, other, coloured, coloured, still, slight, much, still]
@@ -188,7 +188,9 @@ def harmonic_frames() -> list[list[Gaussians]]:
     return [[frozen(replace(first, means=(first.means + t * way).astype(np.float32))) for t in range(8)]]
 
 
-KEPT_KEYS = replace(QUICK, decide_pictures=4, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, tiers=1, quality=1)))
+KEPT_KEYFRAMES = replace(
+    QUICK, decide_pictures=4, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, tiers=1, quality=1))
+)
 PAPER = faces.as_in_paper(
     EncodeSettings(preset="ultrafast", threads=1, measure_pictures=1, decide_pictures=4, region=SEEN, quality=2.0)
 )
@@ -197,14 +199,14 @@ PACKAGES: dict[str, Callable[[Path], object]] = {
     "sound": chirping(39, NTSC, 13),
     "chirping": chirping(150, Fraction(25), 25),
     "silent": silent,
-    "keys": Encoded(kept_groups, KEPT_KEYS, fps=GROUP),
-    "rows": Encoded(pruned_groups, replace(KEPT_KEYS, keep_all=False), fps=GROUP),
+    "keyframes": Encoded(kept_groups, KEPT_KEYFRAMES, fps=GROUP),
+    "rows": Encoded(pruned_groups, replace(KEPT_KEYFRAMES, keep_all=False), fps=GROUP),
     "lines": Encoded(lined_groups, replace(PLAIN, segment_s=SEGMENT / 30, levels=LINED_LEVELS), cameras=True),
     "few": Encoded(few_groups, replace(PLAIN, segment_s=1 / 30), cameras=True),
     "wide": Encoded(lambda: few_rows(3), replace(PLAIN, levels=TWO_LEVELS), cameras=True),
     "paper": Encoded(lambda: [moving_frames(200, 4)], PAPER),
     "calibrated": Encoded(dim_bands, EncodeSettings(preset="veryfast", threads=2), cameras=True),
     "harmonics": Encoded(harmonic_frames, replace(QUICK, segment_s=1.0, levels=TWO_LEVELS), fps=4, cameras=True),
-    "drift": Encoded(swaying, replace(QUICK, preset="ultrafast", keys=faces.APART, levels=TIERED_LEVELS)),
+    "drift": Encoded(swaying, replace(QUICK, preset="ultrafast", keyframes=faces.APART, levels=TIERED_LEVELS)),
     "turned": Encoded(lambda: [moving_frames(400, 4, 1)], replace(PLAIN, keep_all=False, levels=TURNED), cameras=True),
 }

@@ -127,14 +127,14 @@ def decibels(pixels: NDArray[np.uint8], truth: NDArray[np.float32]) -> float:
 
 
 def check_sought(package: Package, report: Any, rung: tuple[int, int], frames: Sequence[int]) -> None:
-    """What player.ts shows of frames in a rung, (key quality, level), is what the CPU renderer draws."""
+    """What player.ts shows of frames in a rung, (keyframe quality, level), is what the CPU renderer draws."""
     assert report["paused"] and [seen["frame"] for seen in report["pictures"]] == frames
     lens = report["camera"]
     numbers = {k: lens[k] for k in ("width", "height", "fx", "fy", "cx", "cy", "near")}
     page = Camera("page", world_to_camera=np.array(lens["worldToCamera"]).reshape(4, 4), **numbers)
     [camera] = before_background(package.manifest.region, [page])
     for seen in report["pictures"]:
-        shown = decode(package, seen["frame"], level=rung[1], key_quality=rung[0])
+        shown = decode(package, seen["frame"], level=rung[1], keyframe_quality=rung[0])
         pixels = pixels_of(seen["picture"], camera.width, camera.height)
         assert decibels(pixels, render(shown, camera).rgb) >= LEAST_DB
 

@@ -1,6 +1,6 @@
 """Packages that are no more than numbers, of which vectors tell: from numbers to offers.
 
-T key tiers, Q key qualities, L levels.
+T keyframe tiers, Q keyframe qualities, L levels.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

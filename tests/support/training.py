@@ -12,11 +12,11 @@ from tests.support.multiview_files import write_views
 from tests.support.views import appeared, coloured_cloud, joined, moved, ring
 
 SETTINGS = TrainSettings(
-    budget=260, capacity=400, sh_degree=0, first_iterations=140, key_iterations=120, frame_iterations=25,
+    budget=260, capacity=400, sh_degree=0, first_iterations=140, keyframe_iterations=120, frame_iterations=25,
     max_growth=0.4, max_drop_db=3.0,
 )  # fmt: skip
 CHUNKED = replace(
-    SETTINGS, capacity=None, max_growth=9.0, first_iterations=20, key_iterations=10, frame_iterations=4,
+    SETTINGS, capacity=None, max_growth=9.0, first_iterations=20, keyframe_iterations=10, frame_iterations=4,
     group_frames=3, match_exposure="on", deltas="mlp+residual",
 )  # fmt: skip
 APPEARS = 3  # frame of `write_blobs`

@@ -43,7 +43,9 @@ def seen(monkeypatch):
 
 
 def trainer(**settings) -> Trainer:
-    base = TrainSettings(sh_degree=1, budget=60, capacity=90, first_iterations=4, key_iterations=4, frame_iterations=4)
+    base = TrainSettings(
+        sh_degree=1, budget=60, capacity=90, first_iterations=4, keyframe_iterations=4, frame_iterations=4
+    )
     return Trainer(replace(preset("paper", base), **settings), scene_extent(ring()))
 
 
@@ -94,7 +96,7 @@ def test_a_keyframe_has_the_loss_of_the_paper_until_its_end(seen, monkeypatch):
         monkeypatch.setattr(f"airgs_codec.trainer.fit.trainer.{name}", lambda *_: pytest.fail("seeds were looked for"))
     rows, base = len(TRUTH), from_gaussians(TRUTH)
     views = views_of(moved(TRUTH, slice(0, 20), (0.1, 0.0, 0.0)), ring(4))
-    t = trainer(key_iterations=210)  # rows are added after the hundredth
+    t = trainer(keyframe_iterations=210)  # rows are added after the hundredth
     before = InMotion(TRUTH, np.full_like(TRUTH.means, 0.1))
     g = t.fit_keyframe(FrameViews(1, views), before, t.steps(TRUTH, views)).gaussians
     assert all(torch.equal(seen.gaussians[0][name], base[name]) for name in SIX)  # GS_{t-1}

@@ -59,7 +59,13 @@ def train_with(scene, folder, work, settings=CHUNKED, **more):
 def test_chunks_begin_with_keyframes_which_may_have_half_as_many_gaussians_more_than_the_first_frame(model_of, scene):
     """Or the budget, where that is more, unless the settings say how many."""
     model = read_model(model_of("chunked") / "m")
-    assert model.finished() and [f.kind for f in model.record.frames] == ["first", "frame", "frame", "key", "frame"]
+    assert model.finished() and [f.kind for f in model.record.frames] == [
+        "first",
+        "frame",
+        "frame",
+        "keyframe",
+        "frame",
+    ]
     assert np.mean([gains[:3] for gains in model.record.exposure.values()]) == pytest.approx(1.0, abs=0.01)
     assert model.record.frames[0].gaussians < model.record.frames[-1].gaussians <= CHUNKED.budget
     for budget, capacity, rows, most in (

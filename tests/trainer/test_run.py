@@ -19,7 +19,7 @@ from tests.faces import ConfigError, FrameRecord, Record, SceneError, TrainSetti
 from tests.support.training import APPEARS, SETTINGS, files
 from tests.support.views import coloured_cloud, measure_usage, ring
 
-QUICK = replace(SETTINGS, first_iterations=10, key_iterations=2, frame_iterations=2)
+QUICK = replace(SETTINGS, first_iterations=10, keyframe_iterations=2, frame_iterations=2)
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def run(model_of):
 def test_a_keyframe_is_found_where_something_appears(run):
     assert run.record.keyframes() == [0, APPEARS]
     key = run.record.frames[APPEARS]
-    assert key.kind == "key" and key.added > 0 and key.rejected_psnr < key.psnr - 2
+    assert key.kind == "keyframe" and key.added > 0 and key.rejected_psnr < key.psnr - 2
     counts = [f.gaussians for f in run.record.frames]
     assert len(set(counts[:APPEARS])) == len(set(counts[APPEARS:])) == 1 and max(counts) <= SETTINGS.capacity
     for f in run.record.frames:
@@ -266,7 +266,7 @@ UNDONE = [frame(0, 32.0, 31.0), frame(1, 32.5, 31.0), frame(2, 32.5, 31.0)]
     # A second frame only moves the first: where it shows more though the scene has moved, the first was not done.
     (UNDONE, "wrong", "0.50 dB more", ""),
     (UNDONE, "change", "--iterations", ""),
-    ([UNDONE[0], replace(UNDONE[1], kind="key"), UNDONE[2]], "change", "", "--iterations"),
+    ([UNDONE[0], replace(UNDONE[1], kind="keyframe"), UNDONE[2]], "change", "", "--iterations"),
 ])  # fmt: skip
 def test_every_sentence_is_said_where_the_frames_say_so(frames, field, there, absent):
     said = training_answer(Record({}, TrainSettings().table(), len(frames), "30", tuple(frames)), CAMERA)[field]

@@ -118,7 +118,7 @@ def test_chunks_are_tracked_alike_whoever_does_them_and_two_frames_as_well(tmp_p
     cameras = faces.orbit_views(frames[0], count=4, size=64)
     few, two = (GaussianSequence.from_arrays(frames[:count], cameras=cameras) for count in (3, 2))
     monkeypatch.setattr(track, "CHUNK", 2)
-    quick = replace(track.track_settings(few), first_iterations=40, key_iterations=30, frame_iterations=20)
+    quick = replace(track.track_settings(few), first_iterations=40, keyframe_iterations=30, frame_iterations=20)
     monkeypatch.setattr(track, "track_settings", lambda sequence: quick)
     encode_tracked(few, tmp_path / "alone.airgs")
     encode_tracked(few, tmp_path / "jobs.airgs", Elsewhere())
@@ -155,7 +155,7 @@ def test_frames_that_share_no_rows_are_tracked_unless_somebody_says_otherwise(cl
 
 
 def test_a_folder_of_frames_is_trained_into_a_model_that_encodes_as_it_is(given, clean, tmp_path, capsys, monkeypatch):
-    quick = replace(track.track_settings(given), key_iterations=20, frame_iterations=20)
+    quick = replace(track.track_settings(given), keyframe_iterations=20, frame_iterations=20)
     for module in ("trainer.track", "cli.train"):
         monkeypatch.setattr(f"airgs_codec.{module}.track_settings", lambda sequence: quick)
     words = [str(given.folder), "-o", str(tmp_path / "m"), "--device", "cpu"]

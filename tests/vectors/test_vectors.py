@@ -70,7 +70,7 @@ def test_morton_codes_and_places_in_a_plane():
 
 def unpack_sidecar(case, coarsest=0, depths_alone=False):
     cells = Grid(**case["grid"]) if "grid" in case else Grid([0] * 3, 1.0, 0)
-    return sidecar.unpack_key_sidecar(data(case["data"]), case["rows"], cells, coarsest, "vector", depths_alone)
+    return sidecar.unpack_keyframe_sidecar(data(case["data"]), case["rows"], cells, coarsest, "vector", depths_alone)
 
 
 def read_detail(shared, case, text, *coarser):
@@ -162,21 +162,21 @@ def assert_near(got, expected):
 
 
 @each("keys")
-def test_keys(case):
-    width, steps = CHANNELS[case["sh_degree"]], faces.KeySteps(**case["steps"])
+def test_keyframes(case):
+    width, steps = CHANNELS[case["sh_degree"]], faces.KeyframeSteps(**case["steps"])
     codes = np.array(case["codes"], np.int32)
     values = from_codes(codes, KEY.steps(steps, width) * case["factor"], case["gain"])
     nowhere = (np.zeros(codes.shape[1], kind) for kind in (np.uint64, np.int16, np.int16, np.uint8))
     transform = unpack_matrix(case["colour_transform"], width)
-    of = sidecar.KeySidecar(*nowhere), transform, Grid(**case["grid"]), steps
-    key = channels.dequantise_key(values, *of)
+    of = sidecar.KeyframeSidecar(*nowhere), transform, Grid(**case["grid"]), steps
+    key = channels.dequantise_keyframe(values, *of)
     names = {"quaternions": key.quaternions, "log_scales": key.log_scales, "alpha": key.opacity, "colours": key.colour}
     assert_near(names, case)
 
 
 @each("states")
-def test_states(case):
-    space, width, steps = case["canonical"], CHANNELS[case["sh_degree"]], faces.StateSteps(**case["steps"])
+def test_deltas(case):
+    space, width, steps = case["canonical"], CHANNELS[case["sh_degree"]], faces.DeltaSteps(**case["steps"])
     base = channels.Canonical(
         means=np.array(space["means"], np.float64),
         motion_units=motion_units(np.array(space["classes"], np.int16)),
@@ -189,7 +189,7 @@ def test_states(case):
     rows = np.flatnonzero((base.depths >= case["level"]) & (base.depths != 255))
     assert rows.tolist() == case["rows"]
     widths = STATE.steps(steps, width) * case["factor"]
-    applier = channels.StateApplier.of(base, rows, steps)
+    applier = channels.DeltaApplier.of(base, rows, steps)
     for place, frame in enumerate(case["frames"]):
         codes = np.array(frame["codes"], np.int32)[:, : len(rows)]
         values = from_codes(codes, widths, case["gain"])
@@ -212,7 +212,7 @@ def test_covariances_and_colours_from_directions():
 
 def show(case):
     package = faces.open_package(REPOSITORY / case["package"])
-    rung = {"level": case["level"], "key_quality": case["quality"], "tiers": case["tiers"]}
+    rung = {"level": case["level"], "keyframe_quality": case["quality"], "tiers": case["tiers"]}
     return next(faces.decode_frames(package, case["frame"], case["frame"] + 1, **rung)).gaussians
 
 
@@ -221,13 +221,13 @@ def test_groups_and_their_files(case):
     m, number = faces.open_package(REPOSITORY / case["package"]).manifest, case["number"] - 1
     group, levels = m.groups[number], range(len(m.levels))
     assert (group.start, group.stop, faces.group_path(number + 1)) == (case["start"], case["stop"], case["table"])
-    for tier, (key_sidecar, pictures) in enumerate(zip(case["sidecars"], case["pictures"], strict=True)):
+    for tier, (keyframe_sidecar, pictures) in enumerate(zip(case["sidecars"], case["pictures"], strict=True)):
         for quality, picture in enumerate(pictures):
-            assert m.key_files(number, tier, quality) == [path for path in (key_sidecar, picture) if path]
+            assert m.keyframe_files(number, tier, quality) == [path for path in (keyframe_sidecar, picture) if path]
     for segment, expected in zip(m.segments_of(number), case["segments"], strict=True):
         found = m.segments[segment]
         assert (found.start, found.stop) == (expected["start"], expected["stop"])
-        assert [m.state_files(segment, j) for j in levels] == [[path] if path else [] for path in expected["files"]]
+        assert [m.delta_files(segment, j) for j in levels] == [[path] if path else [] for path in expected["files"]]
 
 
 @each("packages", "index")

@@ -27,7 +27,7 @@ LOOK_S = 0.02
 CHUNK = 4096  # bytes
 FPS = 2  # a group a second
 AWAY = ("Failed to load resource", "ERR_")  # what browsers say of servers that are not there, and of what was given up
-CORRUPT = ("state/L0/3.m4s", "state/L1/3.m4s", "state/L0/5.m4s")
+CORRUPT = ("delta/L0/3.m4s", "delta/L1/3.m4s", "delta/L0/5.m4s")
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
 
@@ -45,7 +45,7 @@ def outage(trigger, seconds, status):
 
 
 def all_but_one_quality_is_wrong_once(path, number):
-    if path.startswith("key/T0/Q0/"):
+    if path.startswith("keyframe/T0/Q0/"):
         return 404
     return WRONG if number == 1 and path != "airgs.json" else None
 
@@ -145,8 +145,8 @@ CASES = {  # the longest ones first
     "speeds": Case("speeds", 16),
     "grows": Case("live", 10, query={"back": 2}, first=4),
     "away": Case("away", 4, known=AWAY),
-    "outage": Case("once", 6, outage("key/T0/4.bin", 3, SILENT), query={"buffer": 3}),
-    "busy": Case("once", 4, outage("key/T0/3.bin", 3, 503), known=AWAY, query={"buffer": 1.5}),
+    "outage": Case("once", 6, outage("keyframe/T0/4.bin", 3, SILENT), query={"buffer": 3}),
+    "busy": Case("once", 4, outage("keyframe/T0/3.bin", 3, 503), known=AWAY, query={"buffer": 1.5}),
     "corrupt": Case("once", 6, lambda path, _: WRONG if path in CORRUPT else None),
     "wrong once": Case("once", 4, all_but_one_quality_is_wrong_once, known=AWAY),
     "seeks": Case("seeks", 12),

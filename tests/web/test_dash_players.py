@@ -87,11 +87,11 @@ def expected(m):
 
     for number, segment in enumerate(m.segments):
         for j in range(len(m.levels)):
-            still = [path for path, _ in still_files(m) if path == f"state/L{j}/{number + 1}.m4s"]
-            add(f"L{j}", segment, m.state_files(number, j) or still)
+            still = [path for path, _ in still_files(m) if path == f"delta/L{j}/{number + 1}.m4s"]
+            add(f"L{j}", segment, m.delta_files(number, j) or still)
     for number, group in enumerate(m.groups):
         for k, q in np.ndindex(m.tiers, len(m.qualities)):
-            add(f"T{k}/Q{q}", group, m.key_files(number, k, q)[1:])
+            add(f"T{k}/Q{q}", group, m.keyframe_files(number, k, q)[1:])
     return {name: files for name, files in streams.items() if files}
 
 
@@ -100,7 +100,7 @@ def sets_of(streams):
     kinds = defaultdict(list)
     for name in sorted(streams):
         tier = re.match(r"T(\d+)/", name)
-        kinds[f"key;tier={tier[1]}" if tier else "state"].append(name)
+        kinds[f"keyframe;tier={tier[1]}" if tier else "state"].append(name)
     return kinds
 
 
@@ -126,7 +126,7 @@ def test_shaka_finds_what_the_tables_say(report, name):
 
 
 @pytest.mark.parametrize("name", PACKAGES)
-def test_dashjs_finds_the_sets_and_plays_the_state(report, name):
+def test_dashjs_finds_the_sets_and_plays_the_delta(report, name):
     seen, sets = report[name, "dashjs", ""], sets_of(expected(PACKAGES[name].manifest))
     found = [(s["role"], sorted(s["representations"])) for s in seen["sets"]]
     assert sorted(found) == sorted(([role], names) for role, names in sets.items())
@@ -161,4 +161,4 @@ def test_a_growing_package_is_joined_late_and_plays_on_to_its_end(report, player
     assert played["stopped"] == played["duration"] == pytest.approx(GROUPS, abs=TIGHT_S)
     if player == "dashjs":
         media = [f["url"] for f in seen["fragments"] if f["type"] == "MediaSegment"]
-        assert paths(media)[-1] == f"state/L0/{GROUPS}.m4s"
+        assert paths(media)[-1] == f"delta/L0/{GROUPS}.m4s"

@@ -88,7 +88,7 @@ for format, change, luma in MOCKS:
     undone = {"luma": luma, "layouts": ["planar" if format in ("NV12", "I420") else "rgb"], "wrong": []}
     PROBES[f"{format} {change}"] = "probe", {"format": format, "change": change}, undone if luma else "luma"
 ALL = list(range(FOX.manifest.segments[0].stop))
-BROKEN = "key/T0/Q0/1.m4s: H.264 does not decode: Codec reclaimed due to inactivity. (bad_picture)"
+BROKEN = "keyframe/T0/Q0/1.m4s: H.264 does not decode: Codec reclaimed due to inactivity. (bad_picture)"
 HARMS = {  # done to decoders -> how many are made, one for keys and one for states at first, frames that come, words
     "unharmed": ({}, {"made": 2, "came": ALL, "said": ""}),
     "reclaimed": ({"after": 1, "times": 1}, {"made": 3, "came": ALL, "said": ""}),

@@ -47,13 +47,16 @@ def frames_of(p, rung):
 
 
 RUNGS = [
-    (name, {"key_quality": q, "level": j, "tiers": tiers})
+    (name, {"keyframe_quality": q, "level": j, "tiers": tiers})
     for name in PICTURED
     for m in [open_pictured(name).manifest]
     for best, last in [(len(m.qualities) - 1, len(m.levels) - 1)]
     for q, j, tiers in {(0, 0, m.tiers), (best, last, m.levels[-1].tiers), (0, last, m.tiers), (best, 0, 1)}
 ]
-ENCODED = {"pages": {"key_quality": 0, "level": 0, "tiers": 1}, "still": {"key_quality": 1, "level": 0, "tiers": 2}}
+ENCODED = {
+    "pages": {"keyframe_quality": 0, "level": 0, "tiers": 1},
+    "still": {"keyframe_quality": 1, "level": 0, "tiers": 2},
+}
 READ = "golden/room"
 
 
@@ -64,9 +67,9 @@ def frames(encoded):
     wanted |= {name: (f"encoded/{name}", open_package(encoded / name), rung) for name, rung in ENCODED.items()}
     for name, (url, of, rung) in wanted.items():
         made |= {f"/expected/{name}/{i}": data for i, data in enumerate(frames_of(of, rung))}
-        asked = {"quality": rung["key_quality"], "level": rung["level"], "tiers": rung["tiers"]}
+        asked = {"quality": rung["keyframe_quality"], "level": rung["level"], "tiers": rung["tiers"]}
         steps[name] = "frames", {"url": url, "expected": f"/expected/{name}"} | asked
-    best = RUNGS.index((READ, {"key_quality": 0, "level": 0, "tiers": 2}))
+    best = RUNGS.index((READ, {"keyframe_quality": 0, "level": 0, "tiers": 2}))
     read = {"rung": "Q0+L0", "frames": [3, 1, 0, 2], "expected": f"/expected/{best}"}
     steps["reader"] = "reading", {"url": READ} | read
     steps["flips"] = "flips", {"url": f"/{READ}/", "level": 0, "seed": 3, "count": 60, "seconds": 30}
@@ -80,7 +83,7 @@ def test_every_frame_is_the_decoders(frames, number):
     assert all(error <= 1e-6 for error in report["worst"].values()), report
 
 
-def test_atlases_in_pages_are_put_together_and_a_group_may_have_no_key_pictures(frames, encoded):
+def test_atlases_in_pages_are_put_together_and_a_group_may_have_no_keyframe_pictures(frames, encoded):
     """The second group of `still` differs by nothing."""
     m, (_, second) = (open_package(encoded / "pages").manifest, open_package(encoded / "still").manifest.groups)
     assert all(atlas.pages > 1 for atlas in (m.groups[0].tiers[0].qualities[0], m.groups[0].levels[0]))
@@ -131,7 +134,7 @@ def test_broken_packages_are_refused(refusals, name):
 
 TABLE = "group/1.json.gz"
 TABLE_BYTES = FOX.files.path.joinpath(TABLE).read_bytes()
-KEY = "key/T0/Q0/1.m4s"
+KEY = "keyframe/T0/Q0/1.m4s"
 OTHER = TABLE_BYTES[:-1] + bytes([TABLE_BYTES[-1] ^ 1])
 ROOT = FOX.files.path.joinpath("airgs.json").read_bytes()
 HEADERS = 350  # bytes of each answer, which pages are not told
@@ -220,7 +223,7 @@ def test_a_batch_that_is_given_up_keeps_what_is_whole(faults):
 
 
 def test_what_is_kept_by_the_browser_says_nothing_of_the_network_and_by_the_player_is_not_fetched(faults):
-    """Of a table and a key file, which can be asked for once the table is there, the key file comes but once."""
+    """Of a table and a keyframe file, which can be asked for once the table is there, the keyframe file comes but once."""
     first, again = faults["kept"]["came"]
     assert (first["cached"], again["cached"], again["bytes"]) == (False, True, 0) and first["bytes"] > 0
     assert first["whole"] == again["whole"] == [TABLE]

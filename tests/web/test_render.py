@@ -57,7 +57,7 @@ ENCODED = {
     "room": Encoded(room_groups, QUICK, fps=4, cameras=True),
 }
 COMMITTED = {"fox": GOLDEN / "fox", "still": GOLDEN / "fox-fine", "flat": VALID / "moving"}
-DRAWN = {  # name of data -> (package, key tiers that are there, pages of atlases, whether both ends of the ladder)
+DRAWN = {  # name of data -> (package, keyframe tiers that are there, pages of atlases, whether both ends of the ladder)
     "fox": ("fox", None, 1, True),
     "fox, one tier": ("fox", 1, 1, True),
     "flat": ("flat", None, 1, True),
@@ -146,7 +146,7 @@ def test_what_is_drawn_is_what_it_is_named_after(packages, data):
     room = manifests["room"].groups
     assert [g.keeps for g in room] == [None, 1, 1]
     assert any(atlas.rows for tier in room[1].tiers for atlas in tier.qualities)
-    assert manifests["still"].state_files(1, 0) == []
+    assert manifests["still"].delta_files(1, 0) == []
 
 
 @pytest.mark.parametrize("check", OTHERS)

@@ -47,7 +47,7 @@ const { grid, tiers, keeps } = JSON.parse(gunzipSync(readFileSync(`${folder}/gro
 const coarsest = qualities.at(-1).coarser;
 for (const [t, { count }] of tiers.entries()) {
   if (!count || keeps) continue;
-  const [sidecar, key] = [`key/T${t}/1.bin`, `key/T${t}/Q0/1.m4s`];
+  const [sidecar, key] = [`keyframe/T${t}/1.bin`, `keyframe/T${t}/Q0/1.m4s`];
   const [data, media] = [sidecar, key].map((path) => new Uint8Array(readFileSync(`${folder}/${path}`)));
   const read = () => {
     const shared = readSidecar(data, { count, placed: count }, grid, coarsest, sidecar);

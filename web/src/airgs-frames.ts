@@ -6,7 +6,7 @@
 import { basesAfter } from "./format/atlas.ts";
 import { canonicalGaussians, shownGaussians } from "./format/gaussians.ts";
 import { levelled } from "./format/region.ts";
-import type { Canonical, Gaussians, Region, Root, StateFrame, World } from "./format/types.ts";
+import type { Canonical, Gaussians, Region, Root, DeltaFrame, World } from "./format/types.ts";
 import { Media } from "./media/client.ts";
 
 export { FormatError, type Reason } from "./format/errors.ts";
@@ -22,7 +22,7 @@ interface Decoded {
   level: number;
   canonical: Canonical;
   base: Gaussians;
-  frames: (StateFrame | null)[];
+  frames: (DeltaFrame | null)[];
 }
 
 /** Reads frames of a package, in any order; one after the other is fastest, since a segment is decoded as a whole. */
@@ -107,7 +107,7 @@ export class FrameReader {
     const same = known?.group === group && known.quality === quality && known.tiers >= tiers ? last : null;
     const canonical = same?.canonical ?? (await this.media.canonical({ group, quality, tiers }));
     const base = same?.base ?? canonicalGaussians(tables.root, tables.group(group), canonical);
-    const frames: (StateFrame | null)[] = [];
+    const frames: (DeltaFrame | null)[] = [];
     await this.media.segment(segment, level, canonical, (t, frame) => {
       frames[t] = frame;
       this.media.taken(frame);

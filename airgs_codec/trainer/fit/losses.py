@@ -234,7 +234,7 @@ def codec_steps(
     Means: the row's motion unit, by how much pictures depend on it. Quaternions: half the rotation's step, as a small
     rotation w changes a unit quaternion by w / 2. Opacity: the step of alpha over alpha's derivative by the logit.
     """
-    state = (steps or StepSettings()).state
+    state = (steps or StepSettings()).delta
     sensitivity = measure_sensitivity([g], cameras, renderer)
     scale = scene_scale(cameras, g.means, g.opacities())
     unit = scale * motion_units(classify_motion(sensitivity.means, g, scale))

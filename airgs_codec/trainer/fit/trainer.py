@@ -78,7 +78,7 @@ GAUSSIAN_PIXELS = 14  # of a picture, for each Gaussian
 SH_SHARE = 0.25  # of the iterations until each further SH band joins
 HIDDEN_OPACITY = 0.02  # fainter rows are removed at the end of a fit within the budget; of a keyframe only added ones
 MOVING_RATES = Rates(factor=10.0, means=0.5, last=0.1, means_last=0.1)  # of frames that start from the one before
-KEY_RATES = Rates(factor=8.0, last=0.05, means_last=0.05)  # what has appeared has far to go
+KEYFRAME_RATES = Rates(factor=8.0, last=0.05, means_last=0.05)  # what has appeared has far to go
 UNFORESEEN = 1.5  # times as many iterations for a frame to which its velocity does not lead
 MLP_SHARE = 0.5  # of the iterations of mlp+residual
 
@@ -163,10 +163,10 @@ class Trainer:
             base,
             (target.views, views),
             most - rows + fixed,
-            self.schedule("keyframe", s.key_iterations),
+            self.schedule("keyframe", s.keyframe_iterations),
             rng,
             progress=progress,
-            rates=KEY_RATES,
+            rates=KEYFRAME_RATES,
             start=start,
             temporal=temporal,
             until=s.temporal.until,

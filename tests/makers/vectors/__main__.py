@@ -12,7 +12,7 @@ from tests.support.paths import VECTORS
 from tests.support.vectors import Table
 
 OF_WHOLE_NUMBERS = whole.columns, whole.positions, whole.escapes, whole.planes
-OF_VALUES = values.keys, values.states, values.shown, values.region
+OF_VALUES = values.keyframes, values.deltas, values.shown, values.region
 
 
 def write(table: Table) -> bytes:

@@ -19,15 +19,24 @@ import numpy as np
 from airgs_codec.coding.atlas import line_times
 from airgs_codec.coding.sidecar import grid_means
 from airgs_codec.media.h264 import open_segment
-from tests.faces import Package, decode_key, decode_pictures, open_package
-from tests.makers.vectors.values import ATTRIBUTES, STATIC, Coding, Rows, key_rows, listed, state_rows, unpack_transform
+from tests.faces import Package, decode_keyframe, decode_pictures, open_package
+from tests.makers.vectors.values import (
+    ATTRIBUTES,
+    STATIC,
+    Coding,
+    Rows,
+    keyframe_rows,
+    listed,
+    delta_rows,
+    unpack_transform,
+)
 from tests.support.digests import decode_slopes
 from tests.support.paths import GOLDEN, REPOSITORY, VALID
 from tests.support.vectors import Table, binary
 
 FOX, FINE, ROOM, LINED = GOLDEN / "fox", GOLDEN / "fox-fine", GOLDEN / "room", VALID / "lined"
 INDEXED = (FOX, VALID / "paged", VALID / "live", VALID / "two-groups-sh1", VALID / "kept", ROOM)
-SHOWN: dict[Path, list[tuple[int, int, int, int]]] = {  # frame, key quality, level, key tiers
+SHOWN: dict[Path, list[tuple[int, int, int, int]]] = {  # frame, keyframe quality, level, keyframe tiers
     FOX: [*((frame, q, j, 2) for frame in (0, 3) for q in (0, 1) for j in (0, 1)), (3, 0, 0, 1), (1, 1, 1, 1)],
     FINE: [(1, 0, 0, 2)],
     ROOM: [(0, 0, 0, 2), (2, 0, 0, 2), (3, 1, 1, 2), (3, 0, 0, 1)],
@@ -73,26 +82,26 @@ class Tables:
         return list(accumulate((len(table["segments"]) for table in self.groups), initial=0))
 
     def sidecar(self, group: int, tier: int) -> str | None:
-        """The sidecar of a key tier; None where it has no rows."""
-        return f"key/T{tier}/{group + 1}.bin" if self.groups[group]["tiers"][tier]["count"] else None
+        """The sidecar of a keyframe tier; None where it has no rows."""
+        return f"keyframe/T{tier}/{group + 1}.bin" if self.groups[group]["tiers"][tier]["count"] else None
 
     def picture(self, group: int, tier: int, quality: int) -> str | None:
-        """The picture of a key tier; None where it has none."""
+        """The picture of a keyframe tier; None where it has none."""
         entry = self.groups[group]["tiers"][tier]
-        return f"key/T{tier}/Q{quality}/{group + 1}.m4s" if entry["qualities"][quality]["rows"] else None
+        return f"keyframe/T{tier}/Q{quality}/{group + 1}.m4s" if entry["qualities"][quality]["rows"] else None
 
     def base_of(self, group: int) -> int | None:
-        """The group that its keys are differences to; None where they are none."""
+        """The group that its keyframes are differences to; None where they are none."""
         keeps: int | None = self.groups[group].get("keeps")
         return None if keeps is None else keeps - 1
 
-    def state(self, group: int, segment: int, level: int) -> str | None:
+    def delta(self, group: int, segment: int, level: int) -> str | None:
         """The pictures of a segment of the group; None where there is nothing to fetch."""
         found = self.groups[group]["segments"][segment]["levels"][level]["file"]["bytes"]
-        return f"state/L{level}/{self.firsts[group] + segment + 1}.m4s" if found else None
+        return f"delta/L{level}/{self.firsts[group] + segment + 1}.m4s" if found else None
 
     def first_files(self, frame: int, quality: int, level: int, tiers: int) -> list[str]:
-        """What a viewer fetches, in order, until it shows its first frame with so many key tiers."""
+        """What a viewer fetches, in order, until it shows its first frame with so many keyframe tiers."""
         group, segment, _ = self.place(frame)
         base, count = self.base_of(group), len(self.groups)
         found: list[str | None] = ["airgs.json", *pages_to(group, count), f"group/{group + 1}.json.gz"]
@@ -102,7 +111,7 @@ class Tables:
         for tier in range(tiers):
             for one in (group,) if base is None else (group, base):
                 found += [self.sidecar(one, tier), self.picture(one, tier, quality)]
-        found.append(self.state(group, segment, level))
+        found.append(self.delta(group, segment, level))
         return [path for path in found if path]
 
 
@@ -127,7 +136,7 @@ def _group(t: Tables, group: int) -> dict[str, Any]:
     table, tiers = t.groups[group], range(t.root["tiers"])
     qualities, levels = range(len(t.root["qualities"])), range(len(t.root["levels"]))
     segments = [
-        {"start": s["start"], "stop": s["stop"], "files": [t.state(group, number, j) for j in levels]}
+        {"start": s["start"], "stop": s["stop"], "files": [t.delta(group, number, j) for j in levels]}
         for number, s in enumerate(table["segments"])
     ]
     return {
@@ -184,7 +193,7 @@ def _rows(t: Tables, package: Package, frame: int, quality: int, level: int, tie
     parts = [_tier(t, package, group, k, quality) for k in range(tiers) if t.sidecar(group, k)]
     rows = Rows.join([part[0] for part in parts])
     classes, depths = (np.concatenate([part[column] for part in parts]) for column in (1, 2))
-    if not t.state(group, segment, level):
+    if not t.delta(group, segment, level):
         return rows
     start, stop = (table["segments"][segment][name] for name in ("start", "stop"))
     place = frame - start
@@ -195,23 +204,23 @@ def _rows(t: Tables, package: Package, frame: int, quality: int, level: int, tie
     changes = np.zeros((len(codes), len(depths)))
     changes[:, carried] = codes[:, : len(carried)]  # of fewer tiers, the first rows
     transform = unpack_transform(table["colour_transform"])
-    coding = Coding(table["state_steps"], t.root["levels"][level]["factor"], t.root["state_gain"], transform)
-    return state_rows(rows, changes, coding, classes)
+    coding = Coding(table["delta_steps"], t.root["levels"][level]["factor"], t.root["delta_gain"], transform)
+    return delta_rows(rows, changes, coding, classes)
 
 
 def _tier(t: Tables, package: Package, group: int, tier: int, quality: int) -> tuple[Rows, Any, Any]:
-    """The canonical values, the motion classes and the depths of the rows of a key tier."""
-    codes, sidecar = decode_key(package, group, tier, quality)
+    """The canonical values, the motion classes and the depths of the rows of a keyframe tier."""
+    codes, sidecar = decode_keyframe(package, group, tier, quality)
     table, named, base = t.groups[group], t.root["qualities"][quality], t.base_of(group)
     grid, transform = package.manifest.groups[group].grid, unpack_transform(table["colour_transform"])
     factor = named["factor"] * table["tiers"][tier]["factor"]
     if base is None:
         means = grid_means(sidecar.codes, sidecar.classes, sidecar.wider, grid, named["coarser"])
-        key = Coding(table["key_steps"], factor, t.root["key_gain"], transform, grid.unit)
-        return key_rows(codes.astype(np.float64), key, means), sidecar.classes, sidecar.depths
+        keyframe = Coding(table["keyframe_steps"], factor, t.root["keyframe_gain"], transform, grid.unit)
+        return keyframe_rows(codes.astype(np.float64), keyframe, means), sidecar.classes, sidecar.depths
     rows, classes, _ = _tier(t, package, base, tier, quality)
     if codes.size:
-        steps = table["key_steps"] | {"means": table["grid"]["step"] * 2.0 ** -table["grid"]["finest"]}
-        change = Coding(steps, factor, t.root["key_gain"], transform)
-        rows = state_rows(rows, codes.astype(np.float64), change, classes)
+        steps = table["keyframe_steps"] | {"means": table["grid"]["step"] * 2.0 ** -table["grid"]["finest"]}
+        change = Coding(steps, factor, t.root["keyframe_gain"], transform)
+        rows = delta_rows(rows, codes.astype(np.float64), change, classes)
     return rows, classes, sidecar.depths

@@ -1,4 +1,5 @@
-"""Values of rows by the formulas of FORMAT.md, sections 4, 5 and 8, in float64: keys, states, what is shown, viewers.
+"""Values of rows by the formulas of FORMAT.md, sections 4, 5 and 8, in float64: keyframes, deltas, what is shown,
+viewers.
 
 Every result comes with what a decoder in float32 may be off by (FORMAT.md, "Precision"). n rows, C colour channels.
 """
@@ -69,7 +70,7 @@ class Coding:
     factor: float
     gain: float
     transform: Floats  # K, (C, C)
-    unit: float = 1.0  # world units that log-scales of keys are coded in
+    unit: float = 1.0  # world units that log-scales of keyframes are coded in
 
     def values(self, codes: Floats, step: str) -> Floats:
         return codes.T * self.steps[step] * self.factor / self.gain
@@ -80,8 +81,8 @@ class Coding:
         return np.stack([y @ self.transform * scale, np.abs(y) @ np.abs(self.transform) * scale])
 
 
-def key_rows(codes: Floats, coding: Coding, means: ArrayLike) -> Rows:
-    """The rows that (7 + C, n) codes of keys make at (n, 3) means."""
+def keyframe_rows(codes: Floats, coding: Coding, means: ArrayLike) -> Rows:
+    """The rows that (7 + C, n) codes of keyframes make at (n, 3) means."""
     return Rows(
         term(means),
         *rotations(coding.values(codes[3:6], "quaternions")),
@@ -91,8 +92,8 @@ def key_rows(codes: Floats, coding: Coding, means: ArrayLike) -> Rows:
     )
 
 
-def state_rows(rows: Rows, codes: Floats, coding: Coding, classes: ArrayLike) -> Rows:
-    """The rows with the state that (10 + C, n) codes make; where all codes of a row are 0, it stays as it is."""
+def delta_rows(rows: Rows, codes: Floats, coding: Coding, classes: ArrayLike) -> Rows:
+    """The rows with the delta that (10 + C, n) codes make; where all codes of a row are 0, it stays as it is."""
     turns, angles = rotations(coding.values(codes[6:9], "quaternions"))
     units = 2.0 ** np.array(classes)[:, None]
     return Rows(
@@ -121,7 +122,7 @@ def listed(rows: Rows, *, limit: bool) -> dict[str, Any]:
 
 
 def coding_of(case: Case) -> Coding:
-    """What a case says of its coding; only keys have a grid, whose unit their log-scales are coded in."""
+    """What a case says of its coding; only keyframes have a grid, whose unit their log-scales are coded in."""
     transform = unpack_transform(case["colour_transform"])
     unit = Grid(**case["grid"]).unit if "grid" in case else 1.0
     return Coding(case["steps"], case["factor"], case["gain"], transform, unit)
@@ -134,19 +135,19 @@ def unpack_transform(text: str) -> Floats:
 
 
 def keys() -> Table:
-    """Codes of a key -> values of the canonical space, all but the means, which codes of keys do not have."""
+    """Codes of a keyframe -> values of the canonical space, all but the means, which codes of keyframes do not have."""
     found = []
-    for case in cases("keys"):
+    for case in cases("keyframes"):
         codes = np.array(case["codes"], np.float64)
-        parts = listed(key_rows(codes, coding_of(case), np.zeros((codes.shape[1], 3))), limit=False)
+        parts = listed(keyframe_rows(codes, coding_of(case), np.zeros((codes.shape[1], 3))), limit=False)
         found.append(case | {name: {k: one for k, one in part.items() if k != "means"} for name, part in parts.items()})
     return {"cases": found}
 
 
-def states() -> Table:
-    """Codes of states, applied to a canonical space: the rows that a level carries, and every row in each frame."""
+def deltas() -> Table:
+    """Codes of deltas, applied to a canonical space: the rows that a level carries, and every row in each frame."""
     found = []
-    for case in cases("states"):
+    for case in cases("deltas"):
         depths = enumerate(case["canonical"]["depths"])
         rows = [row for row, depth in depths if case["level"] <= depth < STATIC]
         found.append(case | {"rows": rows, "frames": [_frame(case, rows, i) for i in range(len(case["frames"]))]})
@@ -163,7 +164,7 @@ def _frame(case: Case, carried: list[int], place: int) -> dict[str, Any]:
         summed = summed + (2 * place - last) / last * np.array(case["slopes"])
     changes = np.zeros((len(codes), len(quaternions)))
     changes[:, carried] = summed[:, : len(carried)]
-    return {"codes": codes, **listed(state_rows(rows, changes, coding_of(case), space["classes"]), limit=True)}
+    return {"codes": codes, **listed(delta_rows(rows, changes, coding_of(case), space["classes"]), limit=True)}
 
 
 def basis(x: float, y: float, z: float) -> Floats:

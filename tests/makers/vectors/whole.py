@@ -11,7 +11,7 @@ from dataclasses import asdict
 import numpy as np
 
 from airgs_codec.coding.rangecoder import encode_columns
-from airgs_codec.coding.sidecar import KeySidecar, detail_columns, pack_key_sidecar
+from airgs_codec.coding.sidecar import KeyframeSidecar, detail_columns, pack_keyframe_sidecar
 from tests.faces import Grid
 from tests.support.vectors import Case, Table, binary, cases, data, numbers, runs, wide
 
@@ -128,13 +128,13 @@ def parted(code: int) -> list[int]:
     return [sum(((code >> 3 * bit + axis) & 1) << bit for bit in range(21)) for axis in range(3)]
 
 
-def _sidecar(codes: list[int], classes: list[int], wider: list[int], depths: list[int]) -> KeySidecar:
+def _sidecar(codes: list[int], classes: list[int], wider: list[int], depths: list[int]) -> KeyframeSidecar:
     own, e = (np.array(values, np.int16) for values in (classes, wider))
-    return KeySidecar(np.array(codes, np.uint64), own, e, np.array(depths, np.uint8))
+    return KeyframeSidecar(np.array(codes, np.uint64), own, e, np.array(depths, np.uint8))
 
 
-def _packed(sidecar: KeySidecar, grid: Grid = ANY, coarsest: int = 0) -> str:
-    return binary(pack_key_sidecar(sidecar, grid, coarsest))
+def _packed(sidecar: KeyframeSidecar, grid: Grid = ANY, coarsest: int = 0) -> str:
+    return binary(pack_keyframe_sidecar(sidecar, grid, coarsest))
 
 
 def _tier(case: Case) -> Case:

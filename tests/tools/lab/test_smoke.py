@@ -67,7 +67,7 @@ def encode(sequence, folder, settings=None, goal=None, **_):
 def train_chunk(capture, frames, *rest):
     shown = {"psnr": 30.0, "held_out_psnr": 29.0, "held_out_matched": 29.5, "held_out_ssim": 0.9, "rejected_psnr": None}
     for t in frames:
-        kind = "first" if t == 0 else "key" if t % 3 == 0 else "frame"
+        kind = "first" if t == 0 else "keyframe" if t % 3 == 0 else "frame"
         yield TrainedFrame(coloured_cloud(20), FrameRecord(t, kind, gaussians=20, added=0, seconds=1.0, **shown))
 
 

@@ -277,7 +277,7 @@ def test_codec_steps_are_positive_and_finite_at_extremes():
         assert torch.isfinite(steps[name]).all() and (steps[name] > 0).all()
     assert steps["opacity_logits"][0] == pytest.approx(0.058 * 4)
     lengths = np.linalg.norm(g.quaternions.astype(float), axis=1, keepdims=True)
-    half = faces.StepSettings().state.quaternions / 2 * lengths
+    half = faces.StepSettings().delta.quaternions / 2 * lengths
     np.testing.assert_allclose(steps["quaternions"], np.broadcast_to(half, (12, 4)), rtol=1e-5)
 
 

@@ -17,7 +17,13 @@ STEP = np.array([0.1, 0.0, 0.0], np.float32)  # world units that all moves by in
 
 
 def trainer(**settings) -> Trainer:
-    counts = {"budget": 400, "capacity": 600, "first_iterations": 150, "key_iterations": 150, "frame_iterations": 60}
+    counts = {
+        "budget": 400,
+        "capacity": 600,
+        "first_iterations": 150,
+        "keyframe_iterations": 150,
+        "frame_iterations": 60,
+    }
     return Trainer(TrainSettings(sh_degree=0, **(counts | settings)), scene_extent(ring()))
 
 
@@ -87,7 +93,7 @@ def test_a_keyframe_builds_what_appeared_and_keeps_old_rows_in_place(ball):
 
 def test_inflation_removes_added_gaussians(ball):
     def added(weight: float) -> float:
-        t = trainer(max_growth=0.4, inflation=weight, key_iterations=120)
+        t = trainer(max_growth=0.4, inflation=weight, keyframe_iterations=120)
         return float(keyed(t, ball).opacities()[len(TRUTH) :].sum())
 
     none = added(0.0)
@@ -95,7 +101,7 @@ def test_inflation_removes_added_gaussians(ball):
     assert added(1e-6) == pytest.approx(none, rel=0.1)
 
 
-@pytest.mark.parametrize("key", [False, True])
+@pytest.mark.parametrize("keyframe", [False, True])
 def test_rows_that_rest_are_no_variables(key):
     """Bit for bit, without a temporal loss, in a frame of a group and in a keyframe; and what moves is still found."""
     after = joined(shifted(0.05)[0], appeared())
@@ -111,7 +117,7 @@ def test_a_keyframe_adds_nothing_where_pictures_rest(ball):
     """Nothing is drawn there, so nothing could be fitted: what the first frame missed, and specks in a corner."""
     specks = np.zeros((48, 48), bool)
     specks[:3, :3] = True
-    t = trainer(max_growth=0.4, inflation=0.0, key_iterations=60)
+    t = trainer(max_growth=0.4, inflation=0.0, keyframe_iterations=60)
     assert len(keyed(t, ball, [specks] * 8)) == len(TRUTH)
 
 

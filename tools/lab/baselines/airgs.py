@@ -46,34 +46,34 @@ class AirGS:
         sizes = fetched_bytes(package)
         for frame in decode_frames(package, done, footage.frames):
             record = model.record.frames[frame.number]
-            kind = "frame" if record.kind == "frame" else "key"
+            kind = "frame" if record.kind == "frame" else "keyframe"
             yield Shown(kind, frame.gaussians, sizes[frame.number], record.seconds + encode_s)
 
 
 def fetched_bytes(package: Package) -> list[int]:
     """Bytes of each frame that a viewer of the top rung fetches: in all, what the rung and the tables take.
 
-    Keys count at the first frame of their group, tables and what the frames of a segment share are spread evenly.
+    Keyframes count at the first frame of their group, tables and what the frames of a segment share are spread evenly.
     """
     m = package.manifest
     shared = package.manifest_bytes + m.init.bytes
     sizes = np.full(m.frames, shared / m.frames)
     for index, segment in enumerate(m.segments):
-        sizes[segment.start : segment.stop] += state_bytes(m, index, 0)
+        sizes[segment.start : segment.stop] += delta_bytes(m, index, 0)
     for group, spans in enumerate(m.groups):
-        sizes[spans.start] += key_bytes(m, group, 0)
+        sizes[spans.start] += keyframe_bytes(m, group, 0)
     ends = np.round(np.cumsum(sizes)).astype(int)
     return [int(size) for size in np.diff(ends, prepend=0)]
 
 
-def state_bytes(m: Manifest, segment: int, level: int) -> np.ndarray:
+def delta_bytes(m: Manifest, segment: int, level: int) -> np.ndarray:
     """(T,) bytes of the frames of a segment at a level; what they share is spread evenly."""
     entry = m.segments[segment]
     frames = entry.stop - entry.start
     own = np.array(entry.levels[level].frame_bytes or [0] * frames, float)
-    return own + (m.bytes_of(m.state_files(segment, level)) - own.sum()) / frames
+    return own + (m.bytes_of(m.delta_files(segment, level)) - own.sum()) / frames
 
 
-def key_bytes(m: Manifest, group: int, level: int) -> int:
-    """Bytes of the keys of a group in the finest quality, of the tiers that viewers of a level fetch."""
-    return m.bytes_of([path for tier in range(m.levels[level].tiers) for path in m.key_files(group, tier, 0)])
+def keyframe_bytes(m: Manifest, group: int, level: int) -> int:
+    """Bytes of the keyframes of a group in the finest quality, of the tiers that viewers of a level fetch."""
+    return m.bytes_of([path for tier in range(m.levels[level].tiers) for path in m.keyframe_files(group, tier, 0)])

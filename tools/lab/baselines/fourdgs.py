@@ -176,7 +176,7 @@ class Fourdgs:
         g = read_model(footage.folder / MODEL, fit.field)
         for t in range(done, footage.frames):
             shown = deformed(g, fit.field, t / max(1, footage.frames - 1))
-            yield Shown("frame" if t else "key", shown, sizes[t], fit.seconds / footage.frames)
+            yield Shown("frame" if t else "keyframe", shown, sizes[t], fit.seconds / footage.frames)
 
 
 class Fit:

@@ -38,7 +38,7 @@ class Footage:
 class Shown:
     """A frame as the viewer of the method shows it, after the method's own coding."""
 
-    kind: str  # key | frame
+    kind: str  # keyframe | frame
     gaussians: Gaussians
     bytes: int  # that a viewer fetches for it
     seconds: float  # of training and coding it

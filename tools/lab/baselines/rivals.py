@@ -93,7 +93,7 @@ def settings_of() -> list[tuple[str, str, float, float | str]]:
         ("3DGStream", "entries of a level", 2**stream.cache.log2_table, 2**15),
         ("3DGStream", "share of 1 - SSIM in the loss", stream.first.ssim_weight, 0.2),
         ("3DGStream", "Gaussians that a frame adds, at most", stream.most_added, "all"),
-        ("V³", "iterations of a keyframe", v3.key_iterations + v3.finetune_iterations, 16_000),
+        ("V³", "iterations of a keyframe", v3.keyframe_iterations + v3.finetune_iterations, 16_000),
         ("V³", "iterations of the hash grid, a frame", v3.field_iterations, 800),
         ("V³", "iterations of the attributes, a frame", v3.frame_iterations, 2_000),
         ("V³", "frames of a group", v3.group_frames, 20),

@@ -195,7 +195,7 @@ class Stream3dgs:
         if not done:
             begun = time.perf_counter()
             write_ply(path, fit_first(trainer, FrameViews(0, views), footage.points, progress=progress).gaussians)
-            yield Shown("key", read_ply(path), path.stat().st_size, time.perf_counter() - begun)
+            yield Shown("keyframe", read_ply(path), path.stat().st_size, time.perf_counter() - begun)
         first = read_ply(path)
         region = region_of(first, self.options.share)
         moved = read_ply(frame_path(footage.folder, max(0, done - 1))).take(slice(len(first)))

@@ -170,7 +170,7 @@ class Naive3dgs:
             g = self.fit(footage, t, progress)
             path = frame_path(footage.folder, t)
             write_ply(path, g)
-            yield Shown("key", g, path.stat().st_size, time.perf_counter() - begun)
+            yield Shown("keyframe", g, path.stat().st_size, time.perf_counter() - begun)
 
     def fit(self, footage: Footage, frame: int, progress: Progress) -> Gaussians:
         """One frame, from the scene's points if it is the first, and from triangulated ones if not."""

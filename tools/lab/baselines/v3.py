@@ -104,7 +104,7 @@ class V3Settings:
     rows: int = 8_000  # Gaussians of a keyframe after pruning, at most
     pruned: float = 0.5  # share of a keyframe's Gaussians that is removed, those of lowest opacity
     sh_degree: int = 1
-    key_iterations: int = 2_000
+    keyframe_iterations: int = 2_000
     finetune_iterations: int = 700  # of a keyframe, after pruning
     field_iterations: int = 80  # of the hash grid, a frame
     frame_iterations: int = 300  # of all attributes, a frame
@@ -122,7 +122,7 @@ class V3Settings:
             budget=budget,
             capacity=budget,
             sh_degree=self.sh_degree,
-            first_iterations=self.key_iterations,
+            first_iterations=self.keyframe_iterations,
             coarse=self.coarse,
             seed=self.seed,
         )
@@ -154,13 +154,13 @@ class V3:
                 if group:
                     group.append(fit_frame(trainer, target, group[-1], s, named))
                 else:
-                    group.append(fit_key(trainer, target, footage, s, named))
+                    group.append(fit_keyframe(trainer, target, footage, s, named))
                 seconds.append(time.perf_counter() - began)
             began = time.perf_counter()
             coded = v3_layout(group, s.qp, s.preset, s.form)
             coding_s = (time.perf_counter() - began) / len(group)
             for i in range(max(0, done - start), len(group)):
-                yield Shown("frame" if i else "key", coded.frames[i], coded.frame_bytes[i], seconds[i] + coding_s)
+                yield Shown("frame" if i else "keyframe", coded.frames[i], coded.frame_bytes[i], seconds[i] + coding_s)
 
 
 @dataclass(slots=True, eq=False)
@@ -213,7 +213,7 @@ class Finetuned(PerGaussian):
         return self.losses(self.adam.parameters) if self.losses else 0.0
 
 
-def fit_key(
+def fit_keyframe(
     trainer: Trainer, target: FrameViews, footage: Footage, settings: V3Settings, progress: Progress
 ) -> Gaussians:
     """A keyframe from scratch, without its Gaussians of lowest opacity, fine-tuned; rows in Morton order."""

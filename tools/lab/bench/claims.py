@@ -84,7 +84,7 @@ def rows_of(scene: str, target: str, package: Package, found: Mapping[str, Seque
     """A row for each rung of a package, by falling bytes: what it claims and what was found; `off`: how much more."""
     rows, frames = [], package.manifest.frames
     for rung in sorted(rung_rows(package.manifest, package.manifest_bytes), key=lambda r: -r["bytes_per_frame"]):
-        errors = found[name := f"{rung['key']}+{rung['state']}"]
+        errors = found[name := f"{rung['keyframe']}+{rung['delta']}"]
         measured, claimed = round(psnr(sum(errors) / len(errors)), 3), rung["psnr"]
         rows.append(
             {"scene": scene, "target": target, "rung": name, "kilobytes": rung["bytes_per_frame"] / 1e3}

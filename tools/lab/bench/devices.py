@@ -120,9 +120,9 @@ class Fit:
     def settings(self, views: int) -> TrainSettings:
         """The settings for so many training views: a keyframe where it is wanted, and nowhere else."""
         base = default_settings(self.settings_of)
-        counts = (base.iterations_from_scratch(views), base.key_iterations, base.frame_iterations)
+        counts = (base.iterations_from_scratch(views), base.keyframe_iterations, base.frame_iterations)
         first, key, frame = (max(1, round(self.effort * count)) for count in counts)
-        base = replace(base, first_iterations=first, key_iterations=key, frame_iterations=frame)
+        base = replace(base, first_iterations=first, keyframe_iterations=key, frame_iterations=frame)
         return replace(base, group_frames=KEYFRAME, min_psnr_db=0.0, max_drop_db=math.inf)
 
     def open(self) -> MultiviewScene:
@@ -139,10 +139,10 @@ def fit(device: str, asked: Fit, folder: Path) -> list[Row]:
     frames, s = record.frames, record.settings
     held_out = [f.held_out_psnr for f in frames if f.held_out_psnr is not None]
     size = max((camera.width, camera.height) for camera in read_cameras(folder))
-    counts = (s["first_iterations"], s["key_iterations"], s["frame_iterations"])
+    counts = (s["first_iterations"], s["keyframe_iterations"], s["frame_iterations"])
     row: Row = {"scene": asked.scene.name, "device": device, "pictures": f"{size[0]} x {size[1]}"}
     row["iterations"] = ", ".join(map(str, counts))
-    for name, kind in (("first frame, s", "first"), ("keyframe, s", "key"), ("frame in a group, s", "frame")):
+    for name, kind in (("first frame, s", "first"), ("keyframe, s", "keyframe"), ("frame in a group, s", "frame")):
         row[name] = median([frame.seconds for frame in frames if frame.kind == kind] or [math.nan])
     quality = {"PSNR, dB": mean(f.psnr for f in frames), "held-out, dB": mean(held_out) if held_out else None}
     return [row | quality | {"frames": len(frames), "Gaussians": frames[-1].gaussians}]
@@ -193,9 +193,9 @@ def run(options: Options, lab: Lab) -> Page:
             try:
                 how, (found, gpu_mib) = alone(measured, function, device, *arguments, limit_s=max(0.0, left_s))
             except TimeoutError:
-                row["state"] = "no time left"
+                row["delta"] = "no time left"
             except Exception as error:  # whatever it is, others may still be done
-                row["state"] = f"failed: {(str(error).strip().splitlines() or [type(error).__name__])[0]}"
+                row["delta"] = f"failed: {(str(error).strip().splitlines() or [type(error).__name__])[0]}"
             else:
                 rows[table] += found
                 row |= {"state": DONE, "seconds": how.took.wall, "memory, MB": how.peak_mb, "of the GPU, MiB": gpu_mib}
@@ -236,8 +236,8 @@ def parts_of(options: Options, folder: Path) -> Iterator[Part]:
 def page_of(rows: dict[str, list[Row]], parts: Sequence[Row], options: Options) -> Page:
     seen = rows["pictures"]
     apart = [Difference(**{name: row[name] for name in asdict(LIMITS)}) for row in seen]
-    over, failed = sum(not one.good() for one in apart), sum("failed" in row["state"] for row in parts)
-    done = sum(row["state"] == DONE for row in parts)
+    over, failed = sum(not one.good() for one in apart), sum("failed" in row["delta"] for row in parts)
+    done = sum(row["delta"] == DONE for row in parts)
     answer = f"{done} of {len(parts)} parts were done, {failed} failed; "
     answer += f"{over} of {len(seen)} pictures are over a limit." if over else f"{len(seen)} pictures agree."
     largest = {name: float(np.max([row[name] for row in seen])) for name in asdict(LIMITS)} if seen else {}

@@ -130,7 +130,7 @@ def _identity(frame: Any, *_: Any) -> Any:
 MECHANISMS = (
     Mechanism(
         "keyframes as differences", "layout:lay_out_again layout:error_with keyframes:_code_difference",
-        _set(keys="apart"),
+        _set(keyframes="apart"),
     ),
     Mechanism(
         "Gaussians of later groups in a keyframe", "plan:until survey:joined",
@@ -154,7 +154,7 @@ MECHANISMS = (
         _patched((layout, "colour_transform", _identity), (sample, "colour_transform", _identity)),
     ),
     Mechanism(
-        "steps of each key tier", "layout:tier_factors",
+        "steps of each keyframe tier", "layout:tier_factors",
         _patched((layout, "tier_factors", lambda weights, tiers, count: (1.0,) * count)),
     ),
     Mechanism(
@@ -166,8 +166,8 @@ MECHANISMS = (
         _patched((decide, "omit_bands", lambda frames, *_: (frames.sequence.sh_degree, ""))),
     ),
     Mechanism(
-        "planes are left out", "omit:KeyOmissions omit:planes",
-        _patched(*(_free(of) for of in (omit.KeyOmissions, omit.StateOmissions))),
+        "planes are left out", "omit:KeyframeOmissions omit:planes",
+        _patched(*(_free(of) for of in (omit.KeyframeOmissions, omit.DeltaOmissions))),
     ),
     Mechanism("Gaussians ranked by importance", "analysis/importance:importance", _set(usage="max")),
     Mechanism("updates ranked by expected error", "coding/motion:withheld_error", _set(update_rank="usage")),

@@ -1,4 +1,4 @@
-"""Rendered error against milliseconds of decoding a frame: rungs, key tiers, keys alone.
+"""Rendered error against milliseconds of decoding a frame: rungs, keyframe tiers, keyframes alone.
 
 Every rung is compared with the original in the same pictures, from views that the encoder has not drawn.
 """
@@ -20,7 +20,7 @@ from tools.lab import timed
 from tools.lab.numerics.rows import Bench, Place, Point, Row, Scene, picture_error
 
 VIEWS, FRAMES, SEED = 4, 6, 1000  # of pictures that judge
-RUNGS, TIERS, KEYS = "levels", "L0, first key tiers", "keys alone"
+RUNGS, TIERS, KEYFRAMES = "levels", "L0, first keyframe tiers", "keyframes alone"
 UNIT = "dB PSNR"
 
 
@@ -40,15 +40,15 @@ def ways(scene: Scene, package: Package) -> Iterator[tuple[Place, Callable[[], l
     for tiers in range(1, m.levels[0].tiers):
         place = Place("decode", scene.name, TIERS, f"{tiers} of {m.tiers}")
         yield place, partial(_frames, package, 0, 0, tiers)
-    yield Place("decode", scene.name, KEYS, "Q0"), partial(_keys, package)
+    yield Place("decode", scene.name, KEYFRAMES, "Q0"), partial(_keyframes, package)
 
 
 def _frames(package: Package, level: int, quality: int, tiers: int | None) -> list[Gaussians]:
-    frames = decode_frames(package, 0, package.manifest.frames, level=level, key_quality=quality, tiers=tiers)
+    frames = decode_frames(package, 0, package.manifest.frames, level=level, keyframe_quality=quality, tiers=tiers)
     return [frame.gaussians for frame in frames]
 
 
-def _keys(package: Package) -> list[Gaussians]:
+def _keyframes(package: Package) -> list[Gaussians]:
     m, frames = package.manifest, []
     for number, group in enumerate(m.groups):
         g = decode_canonical(package, number, 0).to_gaussians()

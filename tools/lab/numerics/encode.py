@@ -26,7 +26,9 @@ from tools.lab.numerics.rows import Bench, Place, Point, Row
 TARGET = 43.0  # dB
 MEASURED = 64  # pictures that measure
 PRESETS = ("ultrafast", "veryfast", "medium", "veryslow")
-ONE_RUNG = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), key_factors=(1.0,), measure_pictures=MEASURED)
+ONE_RUNG = EncodeSettings(
+    calibrate="none", levels=(LevelSettings(0.0),), keyframe_factors=(1.0,), measure_pictures=MEASURED
+)
 DECIDING = (2, 6, 24, 48)  # --decide-pictures
 PLAIN, CALIBRATED, PREVIEW, DECIDED = "default steps", "calibrated", "--preset quick", "pictures that decide"
 UNIT = "kB a frame at 43 dB"

@@ -31,7 +31,7 @@ TOO_LATE = "the smallest rungs come too late"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Offer:
-    """What is offered in K slots of a second, each a group of its own without keys."""
+    """What is offered in K slots of a second, each a group of its own without keyframes."""
 
     sizes: NDArray[np.float64]  # (K, L) bytes, descending
     quality: NDArray[np.float64]  # (K, L) dB

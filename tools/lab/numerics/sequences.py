@@ -179,7 +179,7 @@ CASES = [
     Case("constant channels", _constant), Case("subnormal SH and quaternions", changed("sh_dc", TINY)),
     *(Case(f"{n} Gaussians", partial(_sized, n)) for n in (15, 17, 255, 256, 257, 4095, 4096, 4097)),
     Case("64 levels", lambda: swing(ball()), replace(PLAIN, levels=LEVELS)),
-    Case("64 key tiers", lambda: swing(ball()), replace(PLAIN, tiers=(1 / 64,) * 64)),
+    Case("64 keyframe tiers", lambda: swing(ball()), replace(PLAIN, tiers=(1 / 64,) * 64)),
     Case("more tiers than Gaussians", lambda: swing(ball(3)), replace(PLAIN, tiers=(1 / 16,) * 16)),
     *(
         Case(

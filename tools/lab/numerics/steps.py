@@ -14,15 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.analysis.sensitivity import measure_sensitivity
-from airgs_codec.coding.channels import colour_transform, fit_colour_transform, key_channels, pack_matrix, unpack_matrix
+from airgs_codec.coding.channels import (
+    colour_transform,
+    fit_colour_transform,
+    keyframe_channels,
+    pack_matrix,
+    unpack_matrix,
+)
 from airgs_codec.coding.motion import FLOOR, StepSettings, classify_motion, get_step, motion_classes, motion_units
 from airgs_codec.coding.sidecar import fit_grid
 from airgs_codec.encoder.sample import PRESET, CalibrationSample, encode_and_decode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.steps import PRIOR, STEPS, Slope, Subject, balance, measure_slopes, solve_steps
 from airgs_codec.encoder.streams import ROUNDING
-from airgs_codec.media.h264 import CodecSettings, key_codec, qp_step, state_codec
-from airgs_codec.package.layout import KEY
+from airgs_codec.media.h264 import CodecSettings, keyframe_codec, qp_step, delta_codec
+from airgs_codec.package.layout import KEYFRAME
 from airgs_codec.scene.gaussians import Gaussians
 from tools.lab.numerics.outcome import (
     BOUNDED,
@@ -123,7 +129,7 @@ def sample_of(g: Gaussians) -> CalibrationSample:
     sensitivity = measure_sensitivity(frames[:1], cameras(count=3))
     return CalibrationSample(
         index=np.arange(len(g)),
-        key=frames[0],
+        keyframe=frames[0],
         frames=frames,
         classes=classify_motion(sensitivity.means, frames[0], 1.0),
         sensitivity=sensitivity,
@@ -148,7 +154,7 @@ def calibrated(sample: CalibrationSample) -> Judged:
     seen = [b for b in slopes if b > 0]
     before, after = sample.cost(settings.steps), sample.cost(steps)
     factors = [get_step(steps, n) / get_step(settings.steps, n) for n in STEPS]
-    errors = [cost.key_error + cost.state_error for cost in (before, after)]
+    errors = [cost.keyframe_error + cost.delta_error for cost in (before, after)]
     gain = (errors[1] + price * after.bytes) / (errors[0] + price * before.bytes)
     words = (
         f"errors of steps {max(seen) / min(seen):.1g} apart, {len(slopes) - len(seen)} of {len(slopes)} without any; "
@@ -160,25 +166,25 @@ def calibrated(sample: CalibrationSample) -> Judged:
     return end, gain, words
 
 
-def code_states(sample: CalibrationSample, factor: float) -> Judged:
-    """States at steps times a factor: largest error in steps, and the bytes."""
+def code_deltas(sample: CalibrationSample, factor: float) -> Judged:
+    """Deltas at steps times a factor: largest error in steps, and the bytes."""
     steps = StepSettings()
-    states = sample.states(sample.code_key(steps, 1.0)[1], steps)
-    size, errors = sample.code_states(states, factor)
-    rounding = ROUNDING * float(np.abs(states).max()) / factor
-    return _coded(float(np.abs(errors).max() / factor), size, _most(state_codec(PRESET)) + rounding)
+    deltas = sample.deltas(sample.code_keyframe(steps, 1.0)[1], steps)
+    size, errors = sample.code_deltas(deltas, factor)
+    rounding = ROUNDING * float(np.abs(deltas).max()) / factor
+    return _coded(float(np.abs(errors).max() / factor), size, _most(delta_codec(PRESET)) + rounding)
 
 
-def code_keys(sample: CalibrationSample, factor: float) -> Judged:
-    """Keys at steps times a factor: largest error in steps, and the bytes."""
+def code_keyframes(sample: CalibrationSample, factor: float) -> Judged:
+    """Keyframes at steps times a factor: largest error in steps, and the bytes."""
     steps = StepSettings()
-    transform = colour_transform(sample.key, steps.key)
-    values = key_channels(sample.key, transform, steps.key, steps.grid)
-    units = KEY.steps(steps.key, 3) * factor
-    sizes, decoded = encode_and_decode(values[None], units, key_codec(PRESET))
+    transform = colour_transform(sample.keyframe, steps.keyframe)
+    values = keyframe_channels(sample.keyframe, transform, steps.keyframe, steps.grid)
+    units = KEYFRAME.steps(steps.keyframe, 3) * factor
+    sizes, decoded = encode_and_decode(values[None], units, keyframe_codec(PRESET))
     rounding = ROUNDING * float((np.abs(values) / units[:, None]).max())
     error = float((np.abs(decoded[0] - values) / units[:, None]).max())
-    return _coded(error, float(sizes[0]), _most(key_codec(PRESET)) + rounding)
+    return _coded(error, float(sizes[0]), _most(keyframe_codec(PRESET)) + rounding)
 
 
 def _most(codec: CodecSettings) -> float:
@@ -223,7 +229,7 @@ def judge_classes(decades: float) -> Judged:
 
 
 KINDS = ("one hardly matters", "one is everything", "evenly spread")
-CODERS: dict[str, Callable[[CalibrationSample, float], Judged]] = {"keys": code_keys, "states": code_states}
+CODERS: dict[str, Callable[[CalibrationSample, float], Judged]] = {"keyframes": code_keyframes, "deltas": code_deltas}
 
 
 def cases() -> list[Case]:

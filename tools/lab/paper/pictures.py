@@ -31,9 +31,11 @@ def draw_quality(trained: Sequence[Trained], figure: Figure) -> None:
     for scene, axis in _panels((t.scene for t in trained), figure).items():
         for t in (t for t in trained if t.scene == scene):
             axis.plot([f.psnr for f in t.frames], color=COLOURS.get(t.method), label=t.method)
-            keys = [i for i, f in enumerate(t.frames) if f.kind == "key"]
-            if len(keys) < len(t.frames):
-                axis.plot(keys, [t.frames[i].psnr for i in keys], "o", markersize=4, color=COLOURS.get(t.method))
+            keyframes = [i for i, f in enumerate(t.frames) if f.kind == "keyframe"]
+            if len(keyframes) < len(t.frames):
+                axis.plot(
+                    keyframes, [t.frames[i].psnr for i in keyframes], "o", markersize=4, color=COLOURS.get(t.method)
+                )
         axis.set(xlabel="frame", ylabel=HELD_OUT)
     figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=8)
 

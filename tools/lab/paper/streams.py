@@ -1,10 +1,11 @@
 """Every method's stream over recorded links, frame by frame as the paper streams (its Figures of transmission time).
 
 Frame t is pushed at t / R and should be there at (t + 1) / R; the rate of that moment is known. Frames follow one
-another on the link: one that is not through when the next is due delays it. A key is spread evenly over the frames up
-to the next key, for every method alike: no link that carries the other frames in 1 / R seconds carries a key in that
-time. AirGS has its levels to choose from, the others one size a frame; a method whose frames need no other frame may
-skip one that does not fit, as AirGS may. Of a frame that is late or skipped the one that stands is seen in its place.
+another on the link: one that is not through when the next is due delays it. A keyframe is spread evenly over the frames
+up to the next keyframe, for every method alike: no link that carries the other frames in 1 / R seconds carries a
+keyframe in that time. AirGS has its levels to choose from, the others one size a frame; a method whose frames need no
+other frame may skip one that does not fit, as AirGS may. Of a frame that is late or skipped the one that stands is seen
+in its place.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from airgs_codec.play.trace import Link, Trace
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.pictures import Pictures
-from tools.lab.baselines.airgs import fetched_bytes, key_bytes, state_bytes
+from tools.lab.baselines.airgs import fetched_bytes, keyframe_bytes, delta_bytes
 from tools.lab.baselines.method import Frame
 
 SECONDS = 10.0  # that are streamed from each offset, in whole rounds of the sequence
@@ -156,18 +157,18 @@ class Stream:
 
 
 def one_level(frames: Sequence[Frame], shown: Sequence[Gaussians], pictures: Pictures) -> Level:
-    sizes = spread_keys([f.bytes for f in frames], [f.kind == "key" for f in frames])
+    sizes = spread_keyframes([f.bytes for f in frames], [f.kind == "keyframe" for f in frames])
     return Level(sizes, np.zeros(len(sizes)), psnr_of_all(shown, pictures))
 
 
-def spread_keys(sizes: Sequence[float], keys: Sequence[bool]) -> NDArray[np.float64]:
-    """(T,) bytes of the frames, those of each key and what follows it up to the next key being evened out.
+def spread_keyframes(sizes: Sequence[float], keyframes: Sequence[bool]) -> NDArray[np.float64]:
+    """(T,) bytes of the frames, those of each keyframe and what follows it up to the next keyframe being evened out.
 
-    A frame in a group is taken to cost what it does; of a key, what exceeds the mean of the other frames of its group
-    is spread over all of them.
+    A frame in a group is taken to cost what it does; of a keyframe, what exceeds the mean of the other frames of its
+    group is spread over all of them.
     """
     out = np.array(sizes, float)
-    starts = [t for t, key in enumerate(keys) if key or t == 0]
+    starts = [t for t, keyframe in enumerate(keyframes) if keyframe or t == 0]
     for start, stop in zip(starts, [*starts[1:], len(out)], strict=True):
         rest = out[start + 1 : stop]
         if len(rest):
@@ -178,7 +179,7 @@ def spread_keys(sizes: Sequence[float], keys: Sequence[bool]) -> NDArray[np.floa
 
 
 def airgs_levels(package: Package, pictures: Pictures) -> tuple[Level, ...]:
-    """The levels of a package with their shares of keys and tables, in the finest key quality."""
+    """The levels of a package with their shares of keyframes and tables, in the finest keyframe quality."""
     m = package.manifest
     tables = (sum(fetched_bytes(package)) - m.bytes_of(m.rung_files(0, 0))) / m.frames
     saved = saved_by_level(m)
@@ -186,9 +187,9 @@ def airgs_levels(package: Package, pictures: Pictures) -> tuple[Level, ...]:
     for j in range(len(m.levels)):
         sizes = np.full(m.frames, tables)
         for index, segment in enumerate(m.segments):
-            sizes[segment.start : segment.stop] += state_bytes(m, index, j)
+            sizes[segment.start : segment.stop] += delta_bytes(m, index, j)
         for number, group in enumerate(m.groups):
-            sizes[group.start : group.stop] += key_bytes(m, number, j) / (group.stop - group.start)
+            sizes[group.start : group.stop] += keyframe_bytes(m, number, j) / (group.stop - group.start)
         shown = [frame.gaussians for frame in decode_frames(package, 0, m.frames, level=j)]
         levels.append(Level(sizes, saved[j], psnr_of_all(shown, pictures)))
     return tuple(levels)

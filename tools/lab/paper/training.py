@@ -93,7 +93,7 @@ def trainer_settings(subject: Subject, quick: bool) -> TrainSettings:
     settings = TrainSettings(max_size=subject.size)
     if not quick:
         return settings
-    return replace(settings, first_iterations=QUICK_FIRST, key_iterations=150, frame_iterations=60, budget=2_000)
+    return replace(settings, first_iterations=QUICK_FIRST, keyframe_iterations=150, frame_iterations=60, budget=2_000)
 
 
 def _airgs(subject: Subject, quick: bool) -> Method:
@@ -107,7 +107,7 @@ def _paper(subject: Subject, quick: bool) -> Method:
 
 
 def _v3(_: Subject, quick: bool) -> Method:
-    short = V3Settings(rows=2_000, key_iterations=QUICK_FIRST, finetune_iterations=60, frame_iterations=40)
+    short = V3Settings(rows=2_000, keyframe_iterations=QUICK_FIRST, finetune_iterations=60, frame_iterations=40)
     return V3(short if quick else V3Settings())
 
 
@@ -176,13 +176,13 @@ def row_of(trained: Trained, rate: float) -> dict[str, Any]:
     frames = trained.frames
     quality = np.array([frame.psnr for frame in frames])
     away = np.abs(quality - quality.mean())
-    keys = [frame.seconds for frame in frames[1:] if frame.kind == "key"]
+    keyframes = [frame.seconds for frame in frames[1:] if frame.kind == "keyframe"]
     return {
         "scene": trained.scene, "method": trained.method, "psnr": float(quality.mean()),
         "worst": float(quality.min()), "deviation": float(away.mean()), "most_deviation": float(away.max()),
         "ssim": _mean([frame.ssim for frame in frames]), "kb_frame": mean_bytes(frames) / 1e3,
         "mbit_s": 8e-6 * mean_bytes(frames) * rate, "gaussians": _mean([frame.gaussians for frame in frames]),
-        "train_s_frame": _mean([frame.seconds for frame in frames]), "key_s": _mean(keys) if keys else None,
+        "train_s_frame": _mean([frame.seconds for frame in frames]), "keyframe_s": _mean(keyframes) if keyframes else None,
         "fps": trained.fps,
     }  # fmt: skip
 

@@ -1,19 +1,19 @@
-// The files of key tiers and segments, read up to their pictures: FORMAT.md, sections 2, 3 and 6. T frames, P planes,
+// The files of keyframe tiers and segments, read up to their pictures: FORMAT.md, sections 2, 3 and 6. T frames, P planes,
 // N rows, E escapes: jumps of bases, by which values leave 8 bits.
 import { STATIC } from "../generated/constants.ts";
 import { pages, planeCorner, rowOffsets } from "./atlas.ts";
 import { pageSamples } from "./avc.ts";
 import { FormatError } from "./errors.ts";
 import { type Media, readMedia, type Sample } from "./mp4.ts";
-import { keyMediaPath, keySidecarPath, stateMediaPath } from "./paths.ts";
+import { keyframeMediaPath, keyframeSidecarPath, deltaMediaPath } from "./paths.ts";
 import { ColumnReader } from "./rangecoder.ts";
 import { canonicalMeans, type Escapes, motionUnits, readDetail, readEscapes, readSidecar } from "./sidecar.ts";
 import type { Atlas, BaseChanges, Group, Root } from "./types.ts";
 
-/** A key tier but for its picture. N rows; where keys are differences, M = 0 have a place, else M = N. */
-export interface KeyTier {
+/** A keyframe tier but for its picture. N rows; where keyframes are differences, M = 0 have a place, else M = N. */
+export interface KeyframeTier {
   atlas: Atlas;
-  /** On the key steps, beside that of the key quality. */
+  /** On the keyframe steps, beside that of the keyframe quality. */
   factor: number;
   /** (3M) canonical means, world units. */
   means: Float32Array;
@@ -29,21 +29,21 @@ export interface KeyTier {
   changes: BaseChanges | null;
 }
 
-/** A key tier from its files; `media` null: it has no picture. Throws FormatError (bad_sidecar, bad_picture). */
-export function readKeyTier(
+/** A keyframe tier from its files; `media` null: it has no picture. Throws FormatError (bad_sidecar, bad_picture). */
+export function readKeyframeTier(
   root: Root,
   table: Group,
   { group, tier, quality }: { group: number; tier: number; quality: number },
   sidecar: Uint8Array,
   media: Uint8Array | null,
-): KeyTier {
-  const where = keyMediaPath(tier, quality, group + 1);
+): KeyframeTier {
+  const where = keyframeMediaPath(tier, quality, group + 1);
   const { count, factor, qualities } = table.tiers[tier]!;
   const atlas = qualities[quality]!;
   const coarsest = root.qualities.at(-1)!.coarser;
   const coarser = table.keeps ? coarsest : root.qualities[quality]!.coarser; // a difference has no detail of positions
   const placed = table.keeps ? 0 : count;
-  const shared = readSidecar(sidecar, count, placed, table.grid, coarsest, keySidecarPath(tier, group + 1));
+  const shared = readSidecar(sidecar, count, placed, table.grid, coarsest, keyframeSidecarPath(tier, group + 1));
   const none: Media = { checksums: new Uint32Array(), columns: null, samples: [] };
   const { checksums, columns, samples } = media ? readMedia(media, where) : none;
   const reader = new ColumnReader(columns, where);
@@ -68,12 +68,12 @@ export function readKeyTier(
 /** Segment `place` of a table but for its pictures; `segment` is its number, from 0. `line` is the picture of slopes,
  * null without one; its `bases` are those other than 0. Throws FormatError (bad_sidecar, bad_picture).
  */
-export function readStates(
+export function readDeltas(
   table: Group,
   { segment, place, level }: { segment: number; place: number; level: number },
   media: Uint8Array,
 ) {
-  const where = stateMediaPath(level, segment + 1);
+  const where = deltaMediaPath(level, segment + 1);
   const atlas = table.levels[level]!;
   const { start, stop, levels } = table.segments[place]!;
   const { checksums, columns, samples } = readMedia(media, where);

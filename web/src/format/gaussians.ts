@@ -1,18 +1,18 @@
 // Codes to Gaussians on the CPU: FORMAT.md, section 5. It is what shaders are tested against, and what adapters to
-// other renderers feed. N rows of a group, n rows of a key tier or a level, C colour channels.
-import { KEY_AT, OPACITY_MARGIN, SMALL_ANGLE, STATE_AT } from "../generated/constants.ts";
+// other renderers feed. N rows of a group, n rows of a keyframe tier or a level, C colour channels.
+import { KEYFRAME_AT, OPACITY_MARGIN, SMALL_ANGLE, DELTA_AT } from "../generated/constants.ts";
 import { atlasSamples, basesAfter, readCodes } from "./atlas.ts";
 import { FormatError } from "./errors.ts";
 import { levelRows } from "./files.ts";
-import { colourChannels, colourMatrix, colourSteps, differenceSteps, gridUnit, keySteps, stateSteps } from "./steps.ts";
-import type { Canonical, Gaussians, Group, KeyPart, Root } from "./types.ts";
+import { colourChannels, colourMatrix, colourSteps, differenceSteps, gridUnit, keyframeSteps, deltaSteps } from "./steps.ts";
+import type { Canonical, Gaussians, Group, KeyframePart, Root } from "./types.ts";
 
 interface Coding {
   /** Value of a code of each channel. */
   steps: Float32Array;
   /** (C · C) what a code of each colour channel adds to each colour. */
   colours: Float64Array;
-  /** The first channel of each attribute; keys have no means. */
+  /** The first channel of each attribute; keyframes have no means. */
   at: { means?: number; log_scales: number; quaternions: number; opacity: number; colour: number };
   /** What log-scales are more than coded. */
   size: number;
@@ -24,7 +24,7 @@ function codingOf(
   group: Group,
   steps: Float32Array,
   scales: { sh_dc: number; sh_rest: number },
-  at: Coding["at"] = STATE_AT,
+  at: Coding["at"] = DELTA_AT,
   size = 0,
 ): Coding {
   const channels = colourChannels(root.sh_degree);
@@ -44,16 +44,16 @@ export function canonicalGaussians(root: Root, group: Group, canonical: Canonica
     colours: new Float32Array(colourChannels(root.sh_degree) * units.length),
   };
   let first = 0;
-  const codesOf = ({ atlas, luma, bases }: KeyPart) => readCodes(atlas, luma, basesAfter(atlasSamples(atlas), [bases]));
+  const codesOf = ({ atlas, luma, bases }: KeyframePart) => readCodes(atlas, luma, basesAfter(atlasSamples(atlas), [bases]));
   for (const part of canonical.parts) {
     const { atlas, factor, difference } = part;
     const rows = Uint32Array.from({ length: atlas.rows }, (_, i) => first + i);
-    const steps = keySteps(root, group, quality).map((step) => step * factor);
-    const coding = codingOf(root, group, steps, group.key_steps, KEY_AT, Math.log(gridUnit(group)));
+    const steps = keyframeSteps(root, group, quality).map((step) => step * factor);
+    const coding = codingOf(root, group, steps, group.keyframe_steps, KEYFRAME_AT, Math.log(gridUnit(group)));
     add(gaussians, rows, units, codesOf(part), coding);
     if (difference) {
       const steps = differenceSteps(root, group, quality).map((step, i) => (i < 3 ? 0 : step * factor)); // not means
-      add(gaussians, rows, units, codesOf(difference), codingOf(root, group, steps, group.key_steps));
+      add(gaussians, rows, units, codesOf(difference), codingOf(root, group, steps, group.keyframe_steps));
     }
     first += atlas.rows;
   }
@@ -61,8 +61,8 @@ export function canonicalGaussians(root: Root, group: Group, canonical: Canonica
   return gaussians;
 }
 
-/** The Gaussians of a frame: `base` is what `canonicalGaussians` gave, `state` the picture of the frame with the bases
- * of its samples (null: all 0) and the slopes of the segment; null: no state is added. Where `canonical` has fewer
+/** The Gaussians of a frame: `base` is what `canonicalGaussians` gave, `delta` the picture of the frame with the bases
+ * of its samples (null: all 0) and the slopes of the segment; null: no delta is added. Where `canonical` has fewer
  * tiers than the level asks for, its rows are the first of the level.
  *
  * Throws FormatError(bad_value) for numbers not finite.
@@ -72,13 +72,13 @@ export function shownGaussians(
   group: Group,
   base: Gaussians,
   canonical: Canonical,
-  state: { level: number; luma: Uint8Array; bases: Int32Array | null; slopes: Int32Array | null; time: number } | null,
+  delta: { level: number; luma: Uint8Array; bases: Int32Array | null; slopes: Int32Array | null; time: number } | null,
 ): Gaussians {
   const shown = structuredClone(base);
-  if (state) {
-    const rows = levelRows(canonical.depths, state.level);
-    const codes = readCodes(group.levels[state.level]!, state.luma, state.bases, state.slopes, state.time);
-    const coding = codingOf(root, group, stateSteps(root, group, state.level), group.state_steps);
+  if (delta) {
+    const rows = levelRows(canonical.depths, delta.level);
+    const codes = readCodes(group.levels[delta.level]!, delta.luma, delta.bases, delta.slopes, delta.time);
+    const coding = codingOf(root, group, deltaSteps(root, group, delta.level), group.delta_steps);
     add(shown, rows, canonical.units, codes, coding);
   }
   expectFinite(shown, "frame");

@@ -1,4 +1,4 @@
-// The tables of a package as one value, which grows as they are read: FORMAT.md, section 2. Groups, segments, key tiers,
+// The tables of a package as one value, which grows as they are read: FORMAT.md, section 2. Groups, segments, keyframe tiers,
 // qualities, levels and pages count from 0; groups, segments and pages in paths from 1.
 import { INIT_PATH, PAGE, POSTER_PATH, ROOT_PATH, SOUND_INIT_PATH } from "../generated/constants.ts";
 import { group as groupSchema, page as pageSchema } from "../generated/schema.ts";
@@ -9,12 +9,12 @@ import { inflate, parseRoot, parseTable } from "./parse.ts";
 import {
   groupPath,
   isPacked,
-  keyMediaPath,
-  keySidecarPath,
+  keyframeMediaPath,
+  keyframeSidecarPath,
   locate,
   pagePath,
   soundPath,
-  stateMediaPath,
+  deltaMediaPath,
 } from "./paths.ts";
 import { checkBase, checkGroup, checkPage } from "./references.ts";
 import type { FileEntry, Group, Page, Root, Segment } from "./types.ts";
@@ -126,21 +126,21 @@ export class Tables {
     return keeps ? keeps - 1 : null;
   }
 
-  /** Sidecar and picture of a key tier: none of one without rows, no picture where nothing differs from the base. */
-  keyFiles(group: number, tier: number, quality: number): string[] {
+  /** Sidecar and picture of a keyframe tier: none of one without rows, no picture where nothing differs from the base. */
+  keyframeFiles(group: number, tier: number, quality: number): string[] {
     const { count, qualities } = this.group(group).tiers[tier]!;
-    const files = [keySidecarPath(tier, group + 1), keyMediaPath(tier, quality, group + 1)];
+    const files = [keyframeSidecarPath(tier, group + 1), keyframeMediaPath(tier, quality, group + 1)];
     return files.slice(0, Number(count > 0) + Number(qualities[quality]!.rows > 0));
   }
 
-  keysOf(group: number, quality: number, tiers: number): string[] {
+  keyframesOf(group: number, quality: number, tiers: number): string[] {
     const groups = [group, this.base(group) ?? []].flat();
-    const all = Array.from({ length: tiers }, (_, tier) => groups.flatMap((of) => this.keyFiles(of, tier, quality)));
+    const all = Array.from({ length: tiers }, (_, tier) => groups.flatMap((of) => this.keyframeFiles(of, tier, quality)));
     return all.flat();
   }
 
-  stateFiles(segment: number, level: number): string[] {
-    return this.segment(segment).levels[level]!.file.bytes ? [stateMediaPath(level, segment + 1)] : [];
+  deltaFiles(segment: number, level: number): string[] {
+    return this.segment(segment).levels[level]!.file.bytes ? [deltaMediaPath(level, segment + 1)] : [];
   }
 
   soundFiles(group: number): string[] {
@@ -167,10 +167,10 @@ export class Tables {
     const number = numbers.at(-1)! - 1;
     const { segments, groups } = this.index;
     if (what === "page") return (number + 1) * PAGE ** first > groups ? null : this.index.pageEntry(path).file;
-    if (number >= (what === "state" ? segments : groups)) return null;
+    if (number >= (what === "delta" ? segments : groups)) return null;
     if (what === "group") return this.index.entry(number).file;
     if (what === "sound") return this.group(number).sound;
-    if (what === "state") return this.segment(number).levels[first]?.file;
+    if (what === "delta") return this.segment(number).levels[first]?.file;
     const tier = this.group(number).tiers[first];
     return what === "sidecar" ? tier?.sidecar : tier?.pictures[second];
   }

@@ -4,7 +4,7 @@ import { PATHS } from "../generated/constants.ts";
 /** What a path names, and the numbers in it, as they stand there. */
 export interface Location {
   what: (typeof PATHS)[number][1];
-  /** sidecar: tier, number; key: tier, quality, number; state, page: level, number; sound, group: number. */
+  /** sidecar: tier, number; keyframe: tier, quality, number; delta, page: level, number; sound, group: number. */
   numbers: number[];
 }
 
@@ -22,10 +22,10 @@ export function locate(path: string): Location | null {
 export const soundPath = (number: number) => `sound/${number}.m4a`;
 export const pagePath = (level: number, number: number) => `index/${level}/${number}.json`;
 export const groupPath = (number: number) => `group/${number}.json.gz`;
-/** Sidecar of a key tier, the same for all qualities. */
-export const keySidecarPath = (tier: number, number: number) => `key/T${tier}/${number}.bin`;
-export const keyMediaPath = (tier: number, quality: number, number: number) => `key/T${tier}/Q${quality}/${number}.m4s`;
-export const stateMediaPath = (level: number, number: number) => `state/L${level}/${number}.m4s`;
+/** Sidecar of a keyframe tier, the same for all qualities. */
+export const keyframeSidecarPath = (tier: number, number: number) => `keyframe/T${tier}/${number}.bin`;
+export const keyframeMediaPath = (tier: number, quality: number, number: number) => `keyframe/T${tier}/Q${quality}/${number}.m4s`;
+export const deltaMediaPath = (level: number, number: number) => `delta/L${level}/${number}.m4s`;
 
 export const isPacked = (path: string): boolean => path.endsWith(".gz");
 export const isPage = (path: string): boolean => locate(path)?.what === "page";

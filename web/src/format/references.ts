@@ -3,15 +3,15 @@
 import {
   BLOCK,
   DIGEST,
-  KEY_AT,
-  KEY_ATTRIBUTES,
+  KEYFRAME_AT,
+  KEYFRAME_ATTRIBUTES,
   LIMITS,
   MAX_POSTER_BYTES,
   MIN_PICTURE_SIDE,
   PAGE,
   ROOT_PATH,
-  STATE_AT,
-  STATE_ATTRIBUTES,
+  DELTA_AT,
+  DELTA_ATTRIBUTES,
 } from "../generated/constants.ts";
 import { pages, planeHeight } from "./atlas.ts";
 import { FormatError } from "./errors.ts";
@@ -159,7 +159,7 @@ export function checkBase(group: Group, base: Group, where: string): void {
 
 const laidOut = (group: Group) =>
   JSON.stringify(group, [
-    ...["grid", "origin", "step", "finest", "key_steps", ...KEY_ATTRIBUTES, "sh_dc", "sh_rest"],
+    ...["grid", "origin", "step", "finest", "keyframe_steps", ...KEYFRAME_ATTRIBUTES, "sh_dc", "sh_rest"],
     ...["colour_transform", "tiers", "count", "factor"],
   ]);
 
@@ -186,7 +186,7 @@ function checkCounts(root: Root, group: Group, place: Place): void {
 function checkAtlases(root: Root, group: Group, place: Place): void {
   const colours = colourChannels(root.sh_degree);
   place.within("grid.step", gridUnit(group), 1e-30, 1e30);
-  const [first, attributes] = group.keeps ? [STATE_AT.colour, STATE_ATTRIBUTES] : [KEY_AT.colour, KEY_ATTRIBUTES];
+  const [first, attributes] = group.keeps ? [DELTA_AT.colour, DELTA_ATTRIBUTES] : [KEYFRAME_AT.colour, KEYFRAME_ATTRIBUTES];
   for (const [t, tier] of group.tiers.entries()) {
     for (const [q, atlas] of tier.qualities.entries()) {
       const at = `tiers[${t}].qualities[${q}]`;
@@ -197,7 +197,7 @@ function checkAtlases(root: Root, group: Group, place: Place): void {
   }
   group.levels.forEach((atlas, j) => {
     place.within(`levels[${j}].rows`, atlas.rows, 0, group.count - group.static);
-    checkAtlas(new Place(`${place.where}.levels[${j}]`), atlas, STATE_AT.colour + colours, STATE_ATTRIBUTES.length);
+    checkAtlas(new Place(`${place.where}.levels[${j}]`), atlas, DELTA_AT.colour + colours, DELTA_ATTRIBUTES.length);
   });
 }
 

@@ -3,7 +3,7 @@ import { LEAST_CLASS, LIMITS, MOST_CLASS, MOST_WIDER, STATIC } from "../generate
 import { ColumnReader, type Wide } from "./rangecoder.ts";
 import type { Grid } from "./types.ts";
 
-/** The N rows of a tier, M of them with places: none where keys are differences, else all. */
+/** The N rows of a tier, M of them with places: none where keyframes are differences, else all. */
 export interface TierRows {
   /** (M) Morton codes of the corners of cells. */
   codes: Wide;
@@ -15,7 +15,7 @@ export interface TierRows {
   depths: Uint8Array;
 }
 
-/** The jumps of the bases of a segment or of a key picture; of a sidecar the e of rows (T = P = 1). */
+/** The jumps of the bases of a segment or of a keyframe picture; of a sidecar the e of rows (T = P = 1). */
 export interface Escapes {
   /** (E) ascending flat indices (t · P + p) · N + i. */
   index: Float64Array;
@@ -41,7 +41,7 @@ export function readEscapes(reader: ColumnReader, frames: number, planes: number
   return { index, jumps: Int32Array.from(zigzag, (z) => (z >>> 1) ^ -(z & 1)) };
 }
 
-/** b of the i-th row: its cell is 2^b steps of its grid wide. `coarser` is that of a key quality. */
+/** b of the i-th row: its cell is 2^b steps of its grid wide. `coarser` is that of a keyframe quality. */
 function cellBits(
   { classes, wider }: Pick<TierRows, "classes" | "wider">,
   i: number,
@@ -114,7 +114,7 @@ function sumGaps(rows: TierRows, grid: Grid, coarsest: number): boolean {
   return true;
 }
 
-/** The same rows with the codes of a key quality, from its detail. Throws FormatError(bad_sidecar). */
+/** The same rows with the codes of a keyframe quality, from its detail. Throws FormatError(bad_sidecar). */
 export function readDetail(
   reader: ColumnReader,
   shared: TierRows,
@@ -158,7 +158,7 @@ export function mortonIndex(lo: number, hi: number, axis: number): number {
   return everyThird((lo & 0x3fffffff) >>> axis) | (middle << 10) | (((hi >>> (28 + axis)) & 1) << 20);
 }
 
-/** (3N) canonical means of a key quality, world units. */
+/** (3N) canonical means of a keyframe quality, world units. */
 export function canonicalMeans(rows: TierRows, grid: Grid, coarser: number): Float64Array {
   const { codes, wider } = rows;
   const half = 2 ** (LIMITS.bits - 1);

@@ -1,29 +1,29 @@
 // What codes count in: FORMAT.md, section 5. C colour channels.
-import { KEY_CHANNELS, STATE_CHANNELS, TRANSFORM_UNITS } from "../generated/constants.ts";
+import { KEYFRAME_CHANNELS, DELTA_CHANNELS, TRANSFORM_UNITS } from "../generated/constants.ts";
 import { FormatError } from "./errors.ts";
 import type { Group, Root } from "./types.ts";
 
 /** C: r, g, b of SH DC and of each of the coefficients past it. */
 export const colourChannels = (shDegree: number) => 3 * (shDegree + 1) ** 2;
 
-/** (7 + C) value of a code of each key channel, in a tier of factor 1. */
-export function keySteps(root: Root, group: Group, quality: number): Float32Array {
-  const steps = KEY_CHANNELS.map((attribute) => group.key_steps[attribute]);
-  return scaled(steps, root, root.qualities[quality]!.factor / root.key_gain);
+/** (7 + C) value of a code of each keyframe channel, in a tier of factor 1. */
+export function keyframeSteps(root: Root, group: Group, quality: number): Float32Array {
+  const steps = KEYFRAME_CHANNELS.map((attribute) => group.keyframe_steps[attribute]);
+  return scaled(steps, root, root.qualities[quality]!.factor / root.keyframe_gain);
 }
 
 export const gridUnit = ({ grid }: Group) => grid.step * 2 ** -grid.finest;
 
-/** (10 + C) the same of keys that are differences; of a mean in motion units of its row. */
+/** (10 + C) the same of keyframes that are differences; of a mean in motion units of its row. */
 export function differenceSteps(root: Root, group: Group, quality: number): Float32Array {
-  const steps = STATE_CHANNELS.map((name) => (name === "means" ? gridUnit(group) : group.key_steps[name]));
-  return scaled(steps, root, root.qualities[quality]!.factor / root.key_gain);
+  const steps = DELTA_CHANNELS.map((name) => (name === "means" ? gridUnit(group) : group.keyframe_steps[name]));
+  return scaled(steps, root, root.qualities[quality]!.factor / root.keyframe_gain);
 }
 
-/** (10 + C) value of a code of each state channel; of a mean in motion units of its row. */
-export function stateSteps(root: Root, group: Group, level: number): Float32Array {
-  const steps = STATE_CHANNELS.map((attribute) => group.state_steps[attribute]);
-  return scaled(steps, root, root.levels[level]!.factor / root.state_gain);
+/** (10 + C) value of a code of each delta channel; of a mean in motion units of its row. */
+export function deltaSteps(root: Root, group: Group, level: number): Float32Array {
+  const steps = DELTA_CHANNELS.map((attribute) => group.delta_steps[attribute]);
+  return scaled(steps, root, root.levels[level]!.factor / root.delta_gain);
 }
 
 function scaled(steps: number[], root: Root, scale: number): Float32Array {

@@ -43,26 +43,26 @@ export interface BaseChanges {
   slopes?: Int32Array | null | undefined;
 }
 
-/** The key picture of a tier, of the base where there is one. */
-export interface KeyPart {
+/** The keyframe picture of a tier, of the base where there is one. */
+export interface KeyframePart {
   atlas: Atlas;
-  /** On the key steps of its group, beside that of the key quality. */
+  /** On the keyframe steps of its group, beside that of the keyframe quality. */
   factor: number;
   /** Samples of all pages, one after the other, each `atlas.width` × `atlas.height`. */
   luma: Uint8Array;
   bases: BaseChanges | null;
   /** What the group differs by; null: by nothing but means. */
-  difference: KeyPart | null;
+  difference: KeyframePart | null;
 }
 
 export interface CanonicalName {
   group: number;
   quality: number;
-  /** How many key tiers, from the first on; one without rows has no file. */
+  /** How many keyframe tiers, from the first on; one without rows has no file. */
   tiers: number;
 }
 
-/** The canonical space of a group in a key quality, as far as tiers were fetched. */
+/** The canonical space of a group in a keyframe quality, as far as tiers were fetched. */
 export interface Canonical extends CanonicalName {
   /** (3N) canonical means, world units. */
   means: Float32Array;
@@ -71,10 +71,10 @@ export interface Canonical extends CanonicalName {
   /** (N) deepest level that carries a row's updates; 255: static. */
   depths: Uint8Array;
   /** In the order of rows. */
-  parts: KeyPart[];
+  parts: KeyframePart[];
 }
 
-export interface StateFrame {
+export interface DeltaFrame {
   /** Samples of all pages, one after the other. */
   luma: Uint8Array;
   /** What changes from the frame before in the segment, or from bases of 0; null: nothing. */

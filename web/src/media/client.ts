@@ -3,7 +3,7 @@ import { start } from "worker:./worker.ts";
 import type { FormatError } from "../format/errors.ts";
 import { MissingTableError } from "../format/index.ts";
 import { Tables } from "../format/package.ts";
-import type { Canonical, CanonicalName, StateFrame } from "../format/types.ts";
+import type { Canonical, CanonicalName, DeltaFrame } from "../format/types.ts";
 import { ATTEMPTS, ROOT_PATH } from "../generated/constants.ts";
 import type { Batch } from "./batch.ts";
 import { aborted, fromWire, UnsupportedError } from "./errors.ts";
@@ -43,7 +43,7 @@ export interface OpenOptions {
 /** An open package. Groups, segments, levels and qualities count from 0. */
 export class Media {
   readonly #caller: Caller;
-  readonly #frames = new WeakMap<StateFrame, { id: number; t: number }>();
+  readonly #frames = new WeakMap<DeltaFrame, { id: number; t: number }>();
 
   private constructor(
     caller: Caller,
@@ -97,7 +97,7 @@ export class Media {
   async locate(frame: number, signal: AbortSignal): Promise<number> {
     for (;;) {
       try {
-        this.tables.keysOf(this.tables.index.groupAt("frames", frame), 0, 1); // asks for that of the base, too
+        this.tables.keyframesOf(this.tables.index.groupAt("frames", frame), 0, 1); // asks for that of the base, too
         return this.tables.segmentAt(frame);
       } catch (error) {
         if (!(error instanceof MissingTableError)) throw error;
@@ -136,10 +136,10 @@ export class Media {
     index: number,
     level: number,
     { group, quality, tiers }: CanonicalName,
-    onFrame: (t: number, frame: StateFrame | null) => void,
+    onFrame: (t: number, frame: DeltaFrame | null) => void,
     signal?: AbortSignal,
   ): Promise<number> {
-    const onEvent = ({ t, frame }: { t: number; frame: StateFrame | null }, id: number) => {
+    const onEvent = ({ t, frame }: { t: number; frame: DeltaFrame | null }, id: number) => {
       if (signal?.aborted) return;
       if (frame) this.#frames.set(frame, { id, t });
       onFrame(t, frame);
@@ -148,7 +148,7 @@ export class Media {
   }
 
   /** A frame has been shown, or is not wanted any more: others may be decoded. */
-  taken(frame: StateFrame | null): void {
+  taken(frame: DeltaFrame | null): void {
     const taken = frame && this.#frames.get(frame);
     if (taken) this.#caller.tell({ taken });
   }

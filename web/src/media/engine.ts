@@ -4,7 +4,7 @@ import { FormatError } from "../format/errors.ts";
 import { MissingTableError } from "../format/index.ts";
 import { Tables } from "../format/package.ts";
 import { isPacked, isTable, soundPath } from "../format/paths.ts";
-import type { Canonical, CanonicalName, FileEntry, StateFrame } from "../format/types.ts";
+import type { Canonical, CanonicalName, FileEntry, DeltaFrame } from "../format/types.ts";
 import { ATTEMPTS, HEADER_BYTES, MAX_TABLE_BYTES, POSTER_PATH, ROOT_PATH } from "../generated/constants.ts";
 import { type FileAsk, fetchBatch } from "./batch.ts";
 import { Ahead } from "./bell.ts";
@@ -13,7 +13,7 @@ import { checkReprDigest, FileClient } from "./http.ts";
 import type { Calls, Poster, WireBatch } from "./messages.ts";
 import { PictureDecoder } from "./pictures.ts";
 import { type Probe, probeBrowser } from "./probe.ts";
-import { decodeCanonical, decodeStates, type Positions, type ReadFile } from "./spaces.ts";
+import { decodeCanonical, decodeDeltas, type Positions, type ReadFile } from "./spaces.ts";
 
 const MOST_SEGMENTS = 2; // of which something is decoded and not shown
 const MOST_SPACES = 4; // whose positions stay for the segments over them
@@ -29,8 +29,8 @@ export class Engine {
   readonly #kept: Recent<string, Uint8Array>;
   readonly #spaces = new Recent<string, Positions>(MOST_SPACES);
   readonly ahead: Ahead;
-  readonly #keys: PictureDecoder;
-  readonly #states: PictureDecoder;
+  readonly #keyframes: PictureDecoder;
+  readonly #deltas: PictureDecoder;
 
   private constructor(
     private readonly client: FileClient,
@@ -40,8 +40,8 @@ export class Engine {
   ) {
     this.#kept = new Recent(keptBytes, (bytes) => bytes.length);
     this.ahead = new Ahead(aheadBytes, MOST_SEGMENTS);
-    this.#keys = new PictureDecoder(probe);
-    this.#states = new PictureDecoder(probe);
+    this.#keyframes = new PictureDecoder(probe);
+    this.#deltas = new PictureDecoder(probe);
   }
 
   /** Fetches airgs.json and the poster, probes the browser. Throws FormatError, TransportError, UnsupportedError. */
@@ -103,8 +103,8 @@ export class Engine {
 
   async canonical(name: CanonicalName, { signal }: Pick<Context<never>, "signal">): Promise<Canonical> {
     const { group, quality, tiers } = name;
-    const read = await this.#gather(this.tables.keysOf(group, quality, tiers), signal);
-    const found = await decodeCanonical(this.tables, read, name, this.#keys, { signal });
+    const read = await this.#gather(this.tables.keyframesOf(group, quality, tiers), signal);
+    const found = await decodeCanonical(this.tables, read, name, this.#keyframes, { signal });
     const { means, units, depths } = found;
     this.#spaces.set(nameOf(name), { means: means.slice(), units: units.slice(), depths: depths.slice() });
     return found;
@@ -118,7 +118,7 @@ export class Engine {
     await this.ahead.place(signal);
     if (signal.aborted) throw aborted();
     const { start, stop } = this.tables.segment(index);
-    const [where] = this.tables.stateFiles(index, level);
+    const [where] = this.tables.deltaFiles(index, level);
     if (!where) {
       for (let t = 0; t < stop - start; t++) emit({ t, frame: null });
       return stop - start;
@@ -126,12 +126,12 @@ export class Engine {
     const positions = this.#spaces.get(nameOf(of)) ?? (await this.canonical(of, { signal }));
     const read = await this.#gather([where], signal);
     const file = { ...of, segment: index, level, positions, bytes: read(where), where };
-    const give = (t: number, frame: StateFrame) => {
+    const give = (t: number, frame: DeltaFrame) => {
       const { luma, means, bases } = frame;
       this.ahead.give(id, t, luma.length + means.byteLength + (bases?.slopes?.byteLength ?? 0));
       emit({ t, frame });
     };
-    await decodeStates(this.tables, file, this.#states, give, { signal, room: () => this.ahead.room(id, signal) });
+    await decodeDeltas(this.tables, file, this.#deltas, give, { signal, room: () => this.ahead.room(id, signal) });
     return stop - start;
   }
 

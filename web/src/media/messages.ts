@@ -1,5 +1,5 @@
 // What page and worker say to each other.
-import type { Canonical, CanonicalName, StateFrame } from "../format/types.ts";
+import type { Canonical, CanonicalName, DeltaFrame } from "../format/types.ts";
 import type { Batch } from "./batch.ts";
 import type { WireError } from "./errors.ts";
 
@@ -27,7 +27,7 @@ export interface Calls {
   canonical: { args: CanonicalName; event: never; value: Canonical };
   segment: {
     args: { index: number; level: number; of: CanonicalName };
-    event: { t: number; frame: StateFrame | null };
+    event: { t: number; frame: DeltaFrame | null };
     value: number;
   };
 }

@@ -1,12 +1,12 @@
-// What is decoded: canonical spaces (sidecars and key files, those of a base too) and segments over them (state files).
+// What is decoded: canonical spaces (sidecars and keyframe files, those of a base too) and segments over them (delta files).
 // N rows of a group, n of a level.
 import { planeCorner, slopeCodes } from "../format/atlas.ts";
 import { concat } from "../format/collections.ts";
 import { FormatError } from "../format/errors.ts";
-import { type Bases, checkCount, type KeyTier, levelRows, readKeyTier, readStates } from "../format/files.ts";
+import { type Bases, checkCount, type KeyframeTier, levelRows, readKeyframeTier, readDeltas } from "../format/files.ts";
 import type { Tables } from "../format/package.ts";
-import { differenceSteps, stateSteps } from "../format/steps.ts";
-import type { Canonical, CanonicalName, KeyPart, StateFrame } from "../format/types.ts";
+import { differenceSteps, deltaSteps } from "../format/steps.ts";
+import type { Canonical, CanonicalName, KeyframePart, DeltaFrame } from "../format/types.ts";
 import { ESCAPE_UNIT, GREY } from "../generated/constants.ts";
 import type { DecodeOptions } from "./decoder.ts";
 import type { PictureDecoder } from "./pictures.ts";
@@ -23,49 +23,49 @@ export async function decodeCanonical(
   decoder: PictureDecoder,
   options: DecodeOptions,
 ): Promise<Canonical> {
-  const decode = async ({ atlas, factor, pages, checksums, changes: bases, where }: KeyTier) => {
-    const found: KeyPart[] = [];
+  const decode = async ({ atlas, factor, pages, checksums, changes: bases, where }: KeyframeTier) => {
+    const found: KeyframePart[] = [];
     const take = (_: number, luma: Uint8Array) => found.push({ atlas, factor, luma, bases, difference: null });
     if (pages.length) await decoder.decode({ pages, checksums, atlas, frames: 1, where }, take, options);
     return found[0] ?? null;
   };
   const base = tables.base(name.group);
-  const keys = readTiers(tables, read, name);
-  const whole = base === null ? keys : readTiers(tables, read, { ...name, group: base });
+  const keyframes = readTiers(tables, read, name);
+  const whole = base === null ? keyframes : readTiers(tables, read, { ...name, group: base });
   const steps = differenceSteps(tables.root, tables.group(name.group), name.quality);
-  const parts: KeyPart[] = [];
+  const parts: KeyframePart[] = [];
   const means: Float32Array[] = [];
   for (const [i, tier] of whole.entries()) {
-    const key = keys[i];
+    const keyframe = keyframes[i];
     const part = await decode(tier);
-    const difference = key === tier ? null : await decode(key);
+    const difference = keyframe === tier ? null : await decode(keyframe);
     parts.push({ ...part, difference });
-    const rows = Uint32Array.from(key.depths, (_, row) => row);
-    const scaled = steps.map((step) => step * key.factor);
-    const moved = difference ? movedMeans(tier, rows, key.bases, scaled, difference.luma) : tier.means;
-    if (!moved.every(Number.isFinite)) throw new FormatError("bad_value", key.where, "means are not finite");
+    const rows = Uint32Array.from(keyframe.depths, (_, row) => row);
+    const scaled = steps.map((step) => step * keyframe.factor);
+    const moved = difference ? movedMeans(tier, rows, keyframe.bases, scaled, difference.luma) : tier.means;
+    if (!moved.every(Number.isFinite)) throw new FormatError("bad_value", keyframe.where, "means are not finite");
     means.push(moved);
   }
-  const [depths, units] = [keys.map((key) => key.depths), whole.map((tier) => tier.units)];
+  const [depths, units] = [keyframes.map((keyframe) => keyframe.depths), whole.map((tier) => tier.units)];
   const space = { means: concat(Float32Array, means), units: concat(Float32Array, units) };
   return { ...name, ...space, depths: concat(Uint8Array, depths), parts };
 }
 
-function readTiers(tables: Tables, read: ReadFile, { group, quality, tiers }: CanonicalName): KeyTier[] {
-  const found: KeyTier[] = [];
+function readTiers(tables: Tables, read: ReadFile, { group, quality, tiers }: CanonicalName): KeyframeTier[] {
+  const found: KeyframeTier[] = [];
   for (let tier = 0; tier < tiers; tier++) {
-    const [sidecar, media] = tables.keyFiles(group, tier, quality);
+    const [sidecar, media] = tables.keyframeFiles(group, tier, quality);
     if (!sidecar) continue;
     const place = { group, tier, quality };
-    found.push(readKeyTier(tables.root, tables.group(group), place, read(sidecar), media ? read(media) : null));
+    found.push(readKeyframeTier(tables.root, tables.group(group), place, read(sidecar), media ? read(media) : null));
   }
   return found;
 }
 
-const AXES = 3; // the first state channels: means
+const AXES = 3; // the first delta channels: means
 
-/** A state file and the canonical space that it changes, as far as `positions` have tiers; segments count from 0. */
-export interface StateFile extends CanonicalName {
+/** A delta file and the canonical space that it changes, as far as `positions` have tiers; segments count from 0. */
+export interface DeltaFile extends CanonicalName {
   segment: number;
   level: number;
   positions: Positions;
@@ -73,34 +73,34 @@ export interface StateFile extends CanonicalName {
   where: string;
 }
 
-/** Decodes a state file frame by frame. Throws FormatError. */
-export async function decodeStates(
+/** Decodes a delta file frame by frame. Throws FormatError. */
+export async function decodeDeltas(
   tables: Tables,
-  file: StateFile,
+  file: DeltaFile,
   decoder: PictureDecoder,
-  take: (t: number, frame: StateFrame) => void,
+  take: (t: number, frame: DeltaFrame) => void,
   options: DecodeOptions,
 ): Promise<void> {
   const { segment, group, level, positions, where } = file;
   const table = tables.group(group);
   checkCount(tables.root, table, level, file.tiers, positions.depths);
   const place = segment - tables.segmentsOf(group).start;
-  const states = readStates(table, { segment, place, level }, file.bytes);
-  const { bases, frames, line } = states;
+  const deltas = readDeltas(table, { segment, place, level }, file.bytes);
+  const { bases, frames, line } = deltas;
   const carried = levelRows(positions.depths, level);
-  const steps = stateSteps(tables.root, table, level);
+  const steps = deltaSteps(tables.root, table, level);
   let slopes: Int32Array | null = null;
   const rise = (_: number, luma: Uint8Array) => {
     slopes = slopeCodes(luma, line!.bases);
   };
-  if (line) await decoder.decode({ ...states, ...line, frames: 1, where }, rise, options);
+  if (line) await decoder.decode({ ...deltas, ...line, frames: 1, where }, rise, options);
   const show = (t: number, luma: Uint8Array) => {
     const time = line ? (2 * t) / (frames - 1) - 1 : 0;
     const changes = bases.next(t, t ? null : slopes?.slice()); // the page gets them, others stay here
     const means = movedMeans(positions, carried, bases, steps, luma, slopes, time);
     take(t, { luma, bases: changes, time, means });
   };
-  await decoder.decode({ ...states, where }, show, options);
+  await decoder.decode({ ...deltas, where }, show, options);
 }
 
 /** (3N) means that a picture moves, whose bases are those of now, with slopes at a time; `rows` are of its atlas. */

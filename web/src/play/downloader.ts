@@ -10,10 +10,10 @@ import { type Batch, filesOf, type Offers } from "./offers.ts";
 import type { Playout } from "./playout.ts";
 
 export interface Request {
-  /** Requested were tables (airgs.json, pages of the index, tables of groups); the next segment with keys of its group;
-   * the next segment, whose keys are decoded; a better rung of a buffered segment.
+  /** Requested were tables (airgs.json, pages of the index, tables of groups); the next segment with keyframes of its group;
+   * the next segment, whose keyframes are decoded; a better rung of a buffered segment.
    */
-  kind: "tables" | "group" | "state" | "replacement";
+  kind: "tables" | "group" | "delta" | "replacement";
   position: number;
   rung: number;
   batch: Batch;
@@ -37,9 +37,9 @@ export interface Arrival {
 
 export const isComplete = (arrival: Arrival): boolean => arrival.whole.length === filesOf(arrival.request.batch).length;
 
-/** The files that are of use: a state segment whose batch is not complete is dropped. */
+/** The files that are of use: a delta segment whose batch is not complete is dropped. */
 export const usableFiles = (arrival: Arrival): readonly string[] =>
-  isComplete(arrival) ? arrival.whole : arrival.whole.filter((path) => !arrival.request.batch.state.includes(path));
+  isComplete(arrival) ? arrival.whole : arrival.whole.filter((path) => !arrival.request.batch.delta.includes(path));
 
 export interface Partial {
   atS: number;

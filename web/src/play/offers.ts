@@ -1,6 +1,6 @@
 // What a package offers a player: one frozen value a segment, made once from the tables of its group.
 //
-// Q key qualities, L levels. A rung is a key quality with a level; rungs are numbered quality by quality. A position is a
+// Q keyframe qualities, L levels. A rung is a keyframe quality with a level; rungs are numbered quality by quality. A position is a
 // segment of a session, which may play the sequence several times. Wire bytes are those of files with their headers.
 import { Recent } from "../format/collections.ts";
 import type { GroupIndex } from "../format/index.ts";
@@ -17,12 +17,12 @@ export class ConfigError extends Error {
 /** More than a buffer holds and a policy looks at. */
 const MOST_OFFERS = 1024;
 
-/** Numbers of key tiers, such as those that are decoded in a loop over the sequence. */
-export type Keys = Pick<ReadonlySet<number>, "has">;
-export const NONE: Keys = new Set();
+/** Numbers of keyframe tiers, such as those that are decoded in a loop over the sequence. */
+export type Keyframes = Pick<ReadonlySet<number>, "has">;
+export const NONE: Keyframes = new Set();
 
-/** A key tier, or the sound of a group, whose number is negative. */
-export interface KeyOffer {
+/** A keyframe tier, or the sound of a group, whose number is negative. */
+export interface KeyframeOffer {
   /** Of the tier among those of all groups and qualities. */
   readonly number: number;
   readonly group: number;
@@ -39,12 +39,12 @@ export interface RungOffer {
   readonly gaussians: number;
   /** Whether the budget has as many, and its level is offered. */
   readonly allowed: boolean;
-  /** Share of the first level's state bytes that its level saves. */
+  /** Share of the first level's delta bytes that its level saves. */
   readonly saved: number;
   /** In the order of fetching: sound, then each tier of the group with files, followed by that of its base. */
-  readonly keys: readonly KeyOffer[];
-  readonly state: readonly string[];
-  readonly stateBytes: number;
+  readonly keyframes: readonly KeyframeOffer[];
+  readonly delta: readonly string[];
+  readonly deltaBytes: number;
 }
 
 /** What a segment offers; frames are [start, stop). */
@@ -63,36 +63,36 @@ export interface SegmentOffer {
 
 /** Paths of the files that are requested together, in the order in which they arrive. */
 export interface Batch {
-  keys: readonly string[];
-  state: readonly string[];
+  keyframes: readonly string[];
+  delta: readonly string[];
   tables: readonly string[];
 }
 
-/** All paths: key tiers one by one, then the state segment, then tables for what comes next. */
-export const filesOf = (batch: Batch): string[] => [...batch.keys, ...batch.state, ...batch.tables];
+/** All paths: keyframe tiers one by one, then the delta segment, then tables for what comes next. */
+export const filesOf = (batch: Batch): string[] => [...batch.keyframes, ...batch.delta, ...batch.tables];
 
-/** (Q L) wire bytes of every rung beside the decoded key tiers; OVER_BUDGET where it shows too many Gaussians. */
-export const sizesOf = ({ rungs }: SegmentOffer, decoded: Keys): Float64Array =>
-  Float64Array.from(rungs, ({ allowed, keys, stateBytes }) =>
+/** (Q L) wire bytes of every rung beside the decoded keyframe tiers; OVER_BUDGET where it shows too many Gaussians. */
+export const sizesOf = ({ rungs }: SegmentOffer, decoded: Keyframes): Float64Array =>
+  Float64Array.from(rungs, ({ allowed, keyframes, deltaBytes }) =>
     allowed
-      ? keys.reduce((sum, { number, bytes }) => sum + (decoded.has(number) ? 0 : bytes), stateBytes)
+      ? keyframes.reduce((sum, { number, bytes }) => sum + (decoded.has(number) ? 0 : bytes), deltaBytes)
       : OVER_BUDGET,
   );
 
-export function optionsOf(offer: SegmentOffer, decoded: Keys): Option[] {
+export function optionsOf(offer: SegmentOffer, decoded: Keyframes): Option[] {
   const sizes = sizesOf(offer, decoded);
   const all = offer.rungs.map(({ psnr, saved }, index) => ({ index, sizeBytes: sizes[index], quality: psnr, saved }));
   return all.filter(({ index }) => offer.rungs[index].allowed);
 }
 
-export function missing({ rungs }: SegmentOffer, rung: number, decoded: Keys): Batch {
-  const { keys, state } = rungs[rung];
-  return { keys: keys.flatMap(({ number, files }) => (decoded.has(number) ? [] : files)), state, tables: [] };
+export function missing({ rungs }: SegmentOffer, rung: number, decoded: Keyframes): Batch {
+  const { keyframes, delta } = rungs[rung];
+  return { keyframes: keyframes.flatMap(({ number, files }) => (decoded.has(number) ? [] : files)), delta, tables: [] };
 }
 
 /** The tables of a package as far as a player looks at them; they may be numbers alone. All count from 0. */
 export interface OfferTables
-  extends Pick<Tables, "rootBytes" | "has" | "groupOf" | "rows" | "base" | "keyFiles" | "stateFiles" | "soundFiles"> {
+  extends Pick<Tables, "rootBytes" | "has" | "groupOf" | "rows" | "base" | "keyframeFiles" | "deltaFiles" | "soundFiles"> {
   readonly root: Pick<Root, "frame_rate" | "live" | "tiers" | "frames"> & {
     readonly views: Pick<Root["views"], "reference">;
     readonly qualities: readonly Pick<Root["qualities"][number], "id">[];
@@ -105,7 +105,7 @@ export interface OfferTables
 
 /** Offers of a package, whose tables grow under it; a session over a growing one begins with `first`. */
 export class Offers {
-  /** (key quality, level) */
+  /** (keyframe quality, level) */
   readonly rungs: readonly (readonly [number, number])[];
   /** Such as Q1+L2. */
   readonly names: readonly string[];
@@ -144,8 +144,8 @@ export class Offers {
     const group = tables.groupOf(segment);
     const { start, stop, levels } = tables.segment(segment);
     const rows = tables.rows(group);
-    const states = levels.map((_, level) => tables.stateFiles(segment, level));
-    const bytes = states.map((files) => this.wire(files));
+    const deltas = levels.map((_, level) => tables.deltaFiles(segment, level));
+    const bytes = deltas.map((files) => this.wire(files));
     const saved = savedShares(bytes);
     const sound = tables.soundFiles(group).map((path) => {
       return { number: -1 - group, group, tier: -1, files: [path], bytes: this.wire([path]) };
@@ -153,22 +153,22 @@ export class Offers {
     const rungs = this.rungs.map(([quality, level]) => {
       const shown = rows.slice(0, tables.root.levels[level].tiers);
       const gaussians = shown.reduce((sum, count) => sum + count, 0);
-      const keys = [...sound, ...shown.flatMap((_, tier) => this.#keys(group, quality, tier))];
+      const keyframes = [...sound, ...shown.flatMap((_, tier) => this.#keys(group, quality, tier))];
       const psnr = levels[level].psnr[quality] ?? 0;
-      const [state, stateBytes] = [states[level], bytes[level]];
+      const [delta, deltaBytes] = [deltas[level], bytes[level]];
       const allowed = gaussians <= this.budget && level >= this.finest;
-      return { quality, level, psnr, gaussians, allowed, saved: saved[level], keys, state, stateBytes };
+      return { quality, level, psnr, gaussians, allowed, saved: saved[level], keyframes, delta, deltaBytes };
     });
     const startsGroup = segment === tables.index.entry(group).firstSegment;
     const seconds = (stop - start) / fps;
     return Object.freeze({ segment, start, stop, seconds, group, base: tables.base(group), startsGroup, rungs });
   }
 
-  #keys(group: number, quality: number, tier: number): KeyOffer[] {
+  #keys(group: number, quality: number, tier: number): KeyframeOffer[] {
     const { tables } = this;
     const { qualities, tiers } = tables.root;
     const offers = [group, tables.base(group) ?? []].flat().map((of) => {
-      const files = tables.keyFiles(of, tier, quality);
+      const files = tables.keyframeFiles(of, tier, quality);
       const number = (of * qualities.length + quality) * tiers + tier;
       return { number, group: of, tier, files, bytes: this.wire(files) };
     });

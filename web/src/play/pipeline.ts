@@ -1,7 +1,7 @@
 // Decoding ahead of the screen: the segments of the schedule, one after another, a second of play at most.
 import { Recent } from "../format/collections.ts";
 import { FormatError } from "../format/errors.ts";
-import type { Atlas, Canonical, StateFrame } from "../format/types.ts";
+import type { Atlas, Canonical, DeltaFrame } from "../format/types.ts";
 import type { Media } from "../media/client.ts";
 import type { Slot } from "./playout.ts";
 import type { Shared } from "./session.ts";
@@ -19,7 +19,7 @@ export interface Clip {
   /** Of its pictures; of a segment that has none, it is not used. */
   readonly atlas: Atlas;
   /** One a frame: undefined is not decoded yet, null shows the canonical space. */
-  readonly frames: (StateFrame | null | undefined)[];
+  readonly frames: (DeltaFrame | null | undefined)[];
 }
 
 export interface PipelineParts extends Pick<Shared, "offers" | "stores" | "playout"> {
@@ -59,10 +59,10 @@ export class Pipeline {
     this.#working = false;
   }
 
-  /** A frame is due on the screen: the clips before it, and the keys of earlier loops, are of no use any more. */
+  /** A frame is due on the screen: the clips before it, and the keyframes of earlier loops, are of no use any more. */
   due(position: number, frame: number): void {
     this.#due = { position, frame };
-    this.parts.stores.keys.forget(position);
+    this.parts.stores.keyframes.forget(position);
     for (const [before, clip] of this.#clips) if (before < position) this.#drop(clip);
     this.wake();
   }
@@ -120,7 +120,7 @@ export class Pipeline {
       const frames: Clip["frames"] = new Array(stop - start).fill(undefined);
       const clip: Clip = { position, rung, level, canonical, atlas, frames };
       this.#clips.set(position, clip);
-      const take = (t: number, frame: StateFrame | null) => {
+      const take = (t: number, frame: DeltaFrame | null) => {
         if (this.#clips.get(position) !== clip) return media.taken(frame); // its time has passed
         frames[t] = frame;
         onProgress();
@@ -136,8 +136,8 @@ export class Pipeline {
   async #space(position: number, quality: number, signal: AbortSignal): Promise<Canonical> {
     const { media, offers, stores } = this.parts;
     const group = media.tables.groupOf(offers.index(position));
-    const tiers = stores.keys.shownTiers(position, quality);
-    if (!tiers) throw new FormatError("missing_entry", `group ${group}`, "expected a key tier, got none");
+    const tiers = stores.keyframes.shownTiers(position, quality);
+    if (!tiers) throw new FormatError("missing_entry", `group ${group}`, "expected a keyframe tier, got none");
     const name = `${group} ${quality} ${tiers}`;
     const canonical = this.#spaces.get(name) ?? (await media.canonical({ group, quality, tiers }, signal));
     signal.throwIfAborted();

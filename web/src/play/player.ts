@@ -197,7 +197,7 @@ export class Player extends EventTarget {
     return this.#playback?.playout.buffered(performance.now() / 1e3) ?? [];
   }
 
-  /** What can be chosen, the best quality of keys first; figures are of the part of the package that was seen. */
+  /** What can be chosen, the best quality of keyframes first; figures are of the part of the package that was seen. */
   get rungs(): RungInfo[] {
     return this.#playback?.rungs.read() ?? [];
   }

@@ -50,11 +50,11 @@ export class RungTotals {
 
   #add({ rungs, group, seconds, startsGroup }: SegmentOffer): void {
     this.#seconds += seconds;
-    rungs.forEach(({ gaussians, psnr, keys, stateBytes }, rung) => {
-      const own = startsGroup ? keys.filter((key) => key.group === group) : []; // what it reuses was there before
+    rungs.forEach(({ gaussians, psnr, keyframes, deltaBytes }, rung) => {
+      const own = startsGroup ? keyframes.filter((keyframe) => keyframe.group === group) : []; // what it reuses was there before
       const total = this.#totals[rung];
       total.allowed &&= gaussians <= this.offers.budget;
-      total.bytes += own.reduce((sum, { bytes }) => sum + bytes, stateBytes);
+      total.bytes += own.reduce((sum, { bytes }) => sum + bytes, deltaBytes);
       total.quality += seconds * psnr;
     });
   }

@@ -96,7 +96,7 @@ export class Screen {
       if (bases) scene.change(bases);
     }
     const state = clip.frames[frame];
-    scene.state(clip.atlas, state?.luma ?? null, state?.time);
+    scene.delta(clip.atlas, state?.luma ?? null, state?.time);
     stage.means = state?.means ?? clip.canonical.means;
     stage.frame = frame;
     this.#shown = stage;

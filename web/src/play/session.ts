@@ -1,6 +1,6 @@
 // A viewer: requests, arrivals, choices and what is on the screen, as a stream of events.
 //
-// One batch passes at a time: those key tiers of the chosen rung that are not decoded, then the state segment.
+// One batch passes at a time: those keyframe tiers of the chosen rung that are not decoded, then the delta segment.
 // When nothing more fits the buffer, a buffered segment may be replaced by a better rung that will be there in time. A
 // segment none of whose rungs can be had, or whose table cannot, is lost, and the session goes on. A package that grows
 // is played until airgs.json says that nothing will follow, or nothing has followed for SILENCE_S.
@@ -164,10 +164,10 @@ export class Session {
     }
     const decision = policy.choose(state);
     const tables = position > this.first ? this.wantedTables(position + 1) : []; // nothing delays the first picture
-    const batch = { ...stores.keys.missing(position, decision.index), tables };
+    const batch = { ...stores.keyframes.missing(position, decision.index), tables };
     if (filesOf(batch).length) {
       // Without files nothing moves: the canonical space is decoded.
-      const kind = batch.keys.length ? "group" : "state";
+      const kind = batch.keyframes.length ? "group" : "delta";
       const request: Request = { kind, position, rung: decision.index, batch, sentS: this.nowS };
       const arrival = await this.receive(request, this.giveUp(state, decision));
       yield { type: "arrived", arrival, throughputBps: estimateThroughput(state.history) };
@@ -182,7 +182,7 @@ export class Session {
     const { downloader, offers, playout, policy, settings, stores } = this.parts;
     return {
       ahead: offers.upcoming(position, Math.min(position + policy.horizon, playout.end)),
-      decoded: stores.keys.decoded(position),
+      decoded: stores.keyframes.decoded(position),
       options: this.options(position),
       nowS: this.nowS,
       deadlineS: playout.deadlineS(playout.dueAt(this.nowS), this.nowS),
@@ -197,8 +197,8 @@ export class Session {
   private options(position: number): readonly Option[] {
     const { stores } = this.parts;
     const most = this.givenUp.position === position ? this.givenUp.sizeBytes : Infinity;
-    const options = stores.keys.options(position);
-    return options.filter((p) => p.sizeBytes < most && usable(stores, stores.keys.missing(position, p.index)));
+    const options = stores.keyframes.options(position);
+    return options.filter((p) => p.sizeBytes < most && usable(stores, stores.keyframes.missing(position, p.index)));
   }
 
   /** Abandon a download that would come late, and later than the smallest rung requested now; a pause puts that off. */
@@ -223,7 +223,7 @@ export class Session {
   }
 
   private async receiveTables(tables: readonly string[], position: number): Promise<Arrived> {
-    const batch = { keys: [], state: [], tables };
+    const batch = { keyframes: [], delta: [], tables };
     const arrival = await this.receive({ kind: "tables", position, rung: 0, batch, sentS: this.nowS }, null);
     return { type: "arrived", arrival, throughputBps: 0 };
   }
@@ -251,13 +251,13 @@ export class Session {
       stores.downloads.push({ bytes, seconds: Math.max(atS - firstByteS, SHORTEST_S) });
       if (stores.downloads.length > REMEMBERED) stores.downloads.shift();
     }
-    stores.keys.add(arrival);
-    this.useKeys(request);
+    stores.keyframes.add(arrival);
+    this.useKeyframes(request);
     return arrival;
   }
 
-  /** Show what is buffered of a group with its best keys, where they are decoded in time. */
-  private useKeys({ position, rung }: Request): void {
+  /** Show what is buffered of a group with its best keyframes, where they are decoded in time. */
+  private useKeyframes({ position, rung }: Request): void {
     const { offers, playout, settings, stores } = this.parts;
     const { levels } = offers.tables.root;
     const quality = offers.rungs[rung][0];
@@ -269,7 +269,7 @@ export class Session {
       const inTime = playout.startS(slot, this.nowS) >= this.nowS + settings.decodeFrameS;
       if (!inTime || groupOf(slot.position) !== groupOf(position)) continue;
       const [shownQuality, level] = offers.rungs[slot.rung ?? 0];
-      if (quality < shownQuality && stores.keys.shownTiers(position, quality) >= levels[level].tiers) {
+      if (quality < shownQuality && stores.keyframes.shownTiers(position, quality) >= levels[level].tiers) {
         playout.replace(slot, quality * levels.length + level);
       }
     }
@@ -302,9 +302,9 @@ export class Session {
       const startS = playout.startS(slot, this.nowS);
       if (!(this.nowS < startS && startS < Infinity)) continue;
       const { rungs } = c.of(c.index(slot.position));
-      for (const { index: rung, sizeBytes, quality } of stores.keys.options(slot.position)) {
-        // The state is decoded where only the keys would be better.
-        const size = sizeBytes - (rungs[rung].level === rungs[slot.rung ?? 0].level ? rungs[rung].stateBytes : 0);
+      for (const { index: rung, sizeBytes, quality } of stores.keyframes.options(slot.position)) {
+        // The deltas are decoded where only the keyframes would be better.
+        const size = sizeBytes - (rungs[rung].level === rungs[slot.rung ?? 0].level ? rungs[rung].deltaBytes : 0);
         const gain = quality - (slotQuality(c, slot) ?? 0);
         const worth = (gain * slot.seconds) / Math.max(1, size);
         const comesS = this.nowS + downloader.rttS + (8 * size) / rateBps + settings.decodeFrameS;
@@ -315,11 +315,11 @@ export class Session {
     return best;
   }
 
-  /** The files that it takes to show another rung of a buffered segment: with the same level, only its keys. */
+  /** The files that it takes to show another rung of a buffered segment: with the same level, only its keyframes. */
   private replacing(slot: Slot, rung: number): Batch {
     const { offers, stores } = this.parts;
-    const batch = stores.keys.missing(slot.position, rung);
-    return offers.rungs[rung][1] === offers.rungs[slot.rung ?? 0][1] ? { ...batch, state: [] } : batch;
+    const batch = stores.keyframes.missing(slot.position, rung);
+    return offers.rungs[rung][1] === offers.rungs[slot.rung ?? 0][1] ? { ...batch, delta: [] } : batch;
   }
 
   private *shown(slots: readonly Slot[]): Generator<Shown> {

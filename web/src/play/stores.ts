@@ -1,4 +1,4 @@
-// What a player has of a package beside states: which tables it has read, which key tiers it has decoded, what it knows
+// What a player has of a package beside deltas: which tables it has read, which keyframe tiers it has decoded, what it knows
 // of the link. It outlives a session: after a seek another one goes on with it.
 import { Recent } from "../format/collections.ts";
 import type { FormatError } from "../format/errors.ts";
@@ -6,7 +6,7 @@ import { groupPath, isSound, isTable } from "../format/paths.ts";
 import { type Arrival, usableFiles } from "./downloader.ts";
 import type { Option } from "./ladder.ts";
 import { type Batch, filesOf, missing, type Offers, optionsOf } from "./offers.ts";
-import type { Download } from "./policies/state.ts";
+import type { Download } from "./policies/delta.ts";
 
 /** Files that are known to have come; those of more were played long ago. */
 const MOST_PATHS = 4096;
@@ -51,11 +51,11 @@ export class TableStore {
   }
 }
 
-/** Key tiers of a loop that are known; more were played long ago. */
-const MOST_KEYS = 32768;
+/** Keyframe tiers of a loop that are known; more were played long ago. */
+const MOST_KEYFRAMES = 32768;
 
-/** Key tiers, decoded once a loop over the sequence. */
-export class KeyStore {
+/** Keyframe tiers, decoded once a loop over the sequence. */
+export class KeyframeStore {
   private readonly loops = new Map<number, Recent<number, true>>();
 
   constructor(private readonly offers: Offers) {}
@@ -68,17 +68,17 @@ export class KeyStore {
 
   decoded(position: number): Recent<number, true> {
     const { loop } = this.offers.place(position);
-    const keys = this.loops.get(loop) ?? new Recent<number, true>(MOST_KEYS);
-    this.loops.set(loop, keys);
-    return keys;
+    const keyframes = this.loops.get(loop) ?? new Recent<number, true>(MOST_KEYFRAMES);
+    this.loops.set(loop, keyframes);
+    return keyframes;
   }
 
-  /** How many tiers of a key quality, from the first on, can be shown in the group of a position. */
+  /** How many tiers of a keyframe quality, from the first on, can be shown in the group of a position. */
   shownTiers(position: number, quality: number): number {
     const { levels, tiers } = this.offers.tables.root;
     const { rungs } = this.offers.of(this.offers.index(position));
     const decoded = this.decoded(position);
-    const wanted = rungs[quality * levels.length].keys.filter(({ tier, number }) => tier >= 0 && !decoded.has(number));
+    const wanted = rungs[quality * levels.length].keyframes.filter(({ tier, number }) => tier >= 0 && !decoded.has(number));
     return Math.min(tiers, ...wanted.map(({ tier }) => tier));
   }
 
@@ -90,12 +90,12 @@ export class KeyStore {
     return optionsOf(this.offers.of(this.offers.index(position)), this.decoded(position));
   }
 
-  /** Take in what arrived: a key tier counts once its files are there; sound that cannot be had is silence. */
+  /** Take in what arrived: a keyframe tier counts once its files are there; sound that cannot be had is silence. */
   add(arrival: Arrival): void {
     const { position, rung } = arrival.request;
     const segment = this.offers.index(position);
     const there = new Set([...usableFiles(arrival), ...[...arrival.refused.keys()].filter(isSound)]);
-    for (const { number, files } of this.offers.of(segment).rungs[rung].keys) {
+    for (const { number, files } of this.offers.of(segment).rungs[rung].keyframes) {
       if (files.every((path) => there.has(path))) this.decoded(position).set(number, true);
     }
   }
@@ -103,7 +103,7 @@ export class KeyStore {
 
 export class Stores {
   readonly tables: TableStore;
-  readonly keys: KeyStore;
+  readonly keyframes: KeyframeStore;
   readonly downloads: Download[] = [];
   /** The fastest of tables and poster, the wait for its first byte included. */
   first: Download = { bytes: 0, seconds: 1 };
@@ -113,13 +113,13 @@ export class Stores {
 
   constructor(private readonly offers: Offers) {
     this.tables = new TableStore(offers);
-    this.keys = new KeyStore(offers);
+    this.keyframes = new KeyframeStore(offers);
   }
 
   /** Why no rung of the segment at a position can be had; undefined: nobody knows. */
   whyLost(position: number): FormatError | undefined {
     const tables = this.tables.missing(position, position + 1);
-    const least = tables.length ? tables : filesOf(this.keys.missing(position, this.offers.rungs.length - 1));
+    const least = tables.length ? tables : filesOf(this.keyframes.missing(position, this.offers.rungs.length - 1));
     return least.map((path) => this.unusable.get(path)).find(Boolean);
   }
 }

@@ -86,7 +86,7 @@ export class Held {
   }
 
   get told(): PlayerStats["held"] {
-    const { finest: rung } = this.offers; // the one with the finest keys
+    const { finest: rung } = this.offers; // the one with the finest keyframes
     const { cause: by } = this.#rule;
     return rung && by ? { rung, by } : null;
   }

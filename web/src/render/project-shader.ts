@@ -3,7 +3,7 @@
 // The arithmetic is that of airgs_codec/render/cpu_kernels.py. The covariance of the picture is [[xx, xy], [xy, yy]]
 // px²; its determinant is taken by Cauchy-Binet, whose terms do not cancel.
 import type { Camera } from "../format/types.ts";
-import { DILATION, MARGIN, OPACITY_MARGIN, SH_C0, SH_C1, SH_C2, SH_C3, STATE_AT } from "../generated/constants.ts";
+import { DILATION, MARGIN, OPACITY_MARGIN, SH_C0, SH_C1, SH_C2, SH_C3, DELTA_AT } from "../generated/constants.ts";
 import type { Uniforms } from "./programs.ts";
 import { CODES, COLOURS, each, HEAD, layerSteps, ROW_WIDTH, size, TURNS, three, tints } from "./shaders.ts";
 
@@ -34,7 +34,7 @@ uniform usampler2D places, rotations, sizes, ranks;
 uniform usampler2DArray layers;
 uniform int rows;
 uniform bool moving; // else the canonical space is shown
-uniform ivec4 entries[${STATE_AT.colour}];
+uniform ivec4 entries[${DELTA_AT.colour}];
 `;
 
 // What is nearer than `near` is not drawn. The Jacobian is taken inside `bounds`: x, then y, of z = 1.
@@ -102,14 +102,14 @@ void main() {
   bool moved = rank != 0xffffffffu;
   if (moved) {
     at = place(int(rank));
-    away += ${three(STATE_AT.means)} * p.w;
-    s += ${size(STATE_AT)};
+    away += ${three(DELTA_AT.means)} * p.w;
+    s += ${size(DELTA_AT)};
   }
   float alpha = clamp(s.w, ${OPACITY_MARGIN}, ${1 - OPACITY_MARGIN}); // FORMAT.md, section 5
   vec3 seen = vec3(dot(right, away), dot(down, away), dot(ahead, away));
   if (!(seen.z > near) || !(alpha * 255.0 > 1.0)) return;
   vec4 q = uintBitsToFloat(texelFetch(rotations, t, 0));
-  if (moved) q = normalize(product(turn(${three(STATE_AT.quaternions)}), q));
+  if (moved) q = normalize(product(turn(${three(DELTA_AT.quaternions)}), q));
   vec2 uv = seen.xy / seen.z, inside = clamp(uv, bounds.xz, bounds.yw);
   mat3 R = axes(q);
   vec3 scale = exp(s.xyz);

@@ -1,12 +1,12 @@
 // Luma pictures -> Gaussians -> a picture of them, in WebGL2. All arithmetic is done in passes over rows, but for the
 // order.
 //
-// Passes: key (once a scene), projection (once a picture or camera), splats, and the canvas. N rows of a group.
+// Passes: keyframe (once a scene), projection (once a picture or camera), splats, and the canvas. N rows of a group.
 import { colourChannels } from "../format/steps.ts";
 import type { Camera, Canonical, Group, Root } from "../format/types.ts";
 import { Programs } from "./programs.ts";
 import { projection, setView } from "./project-shader.ts";
-import { prepareKeys, Scene, setCodes } from "./scene.ts";
+import { prepareKeyframes, Scene, setCodes } from "./scene.ts";
 import { QUADS, ROW_WIDTH, SHOW, SPLAT_FRAGMENT, SPLAT_VERTEX, WHOLE } from "./shaders.ts";
 import { RenderError, Target, type TargetFormat, type Texture, targetFormat, texture } from "./textures.ts";
 
@@ -96,7 +96,7 @@ export class Renderer {
       const fragment = () => projection(root.sh_degree, colourChannels(root.sh_degree));
       const source = () => ({ vertex: WHOLE, fragment: fragment(), samplers: SAMPLERS });
       this.#programs.prepare(PROJECTION + root.sh_degree, source);
-      prepareKeys(this.#programs, root.sh_degree);
+      prepareKeyframes(this.#programs, root.sh_degree);
     }
     const scene = new Scene(this.#gl, root, group, canonical);
     scene.freed = this.lost;
@@ -105,10 +105,10 @@ export class Renderer {
   }
 
   /** Whether `draw` would draw it: it has an order, and its programs are compiled, after which the first to ask has the
-   * key passes run. Ask from time to time.
+   * keyframe passes run. Ask from time to time.
    */
   ready(scene: Scene): boolean {
-    if (this.lost || scene.freed || !this.#finishKeys(scene) || !scene.ordered) return false;
+    if (this.lost || scene.freed || !this.#finishKeyframes(scene) || !scene.ordered) return false;
     return this.#programs.done([PROJECTION + scene.degree, "splats", "canvas"]);
   }
 
@@ -166,11 +166,11 @@ export class Renderer {
     gl.deleteSync(this.#drawing);
   }
 
-  #finishKeys(scene: Scene): boolean {
-    if (!scene.keys || this.lost) return !this.lost;
-    if (!this.#programs.done(prepareKeys(this.#programs, scene.degree))) return false;
-    scene.keys.run(this.#programs, this.#noLuma, this.#noBases);
-    scene.keys = null;
+  #finishKeyframes(scene: Scene): boolean {
+    if (!scene.keyframes || this.lost) return !this.lost;
+    if (!this.#programs.done(prepareKeyframes(this.#programs, scene.degree))) return false;
+    scene.keyframes.run(this.#programs, this.#noLuma, this.#noBases);
+    scene.keyframes = null;
     return true;
   }
 

@@ -1,13 +1,13 @@
-// What the GPU holds of a group: the canonical space, which passes over key pictures draw once, the picture of a state,
+// What the GPU holds of a group: the canonical space, which passes over keyframe pictures draw once, the picture of a state,
 // an order. N rows, C colour channels.
 //
 // A row takes 88 bytes and 16 for each four colours: 280 with spherical harmonics of degree 3.
-import { colourChannels, colourMatrix, differenceSteps, gridUnit, keySteps, stateSteps } from "../format/steps.ts";
-import type { Atlas, BaseChanges, Canonical, Group, KeyPart, Root } from "../format/types.ts";
-import { KEY_AT, STATE_AT, STATIC } from "../generated/constants.ts";
+import { colourChannels, colourMatrix, differenceSteps, gridUnit, keyframeSteps, deltaSteps } from "../format/steps.ts";
+import type { Atlas, BaseChanges, Canonical, Group, KeyframePart, Root } from "../format/types.ts";
+import { KEYFRAME_AT, DELTA_AT, STATIC } from "../generated/constants.ts";
 import type { Programs, Uniforms } from "./programs.ts";
 import { type CodeTable, codeTable, Samples } from "./samples.ts";
-import { KEY_GEOMETRY, keyColours, LAYERS_A_PASS, ROW_WIDTH, WHOLE } from "./shaders.ts";
+import { KEYFRAME_GEOMETRY, keyframeColours, LAYERS_A_PASS, ROW_WIDTH, WHOLE } from "./shaders.ts";
 import { framebuffer, RenderError, type Texture, texture, write, writeRows } from "./textures.ts";
 
 const NO_RANK = 0xffffffff;
@@ -20,7 +20,7 @@ interface LevelView {
 }
 
 interface Part {
-  /** The key, then what is added to it; no samples: codes of 0. */
+  /** The keyframe, then what is added to it; no samples: codes of 0. */
   pictures: { samples: Samples | null; codes: CodeTable }[];
   first: number;
   rows: number;
@@ -33,23 +33,23 @@ function layerRuns(degree: number): { name: string; first: number; count: number
   const layers = Math.ceil(colourChannels(degree) / 4);
   return Array.from({ length: Math.ceil(layers / LAYERS_A_PASS) }, (_, n) => {
     const first = n * LAYERS_A_PASS;
-    return { name: `key colours ${degree}, ${first}`, first, count: Math.min(LAYERS_A_PASS, layers - first) };
+    return { name: `keyframe colours ${degree}, ${first}`, first, count: Math.min(LAYERS_A_PASS, layers - first) };
   });
 }
 
-/** Begins to compile what `KeyPasses.run` needs; gives the names. */
-export function prepareKeys(programs: Programs, degree: number): string[] {
-  programs.prepare("key geometry", () => ({ vertex: WHOLE, fragment: KEY_GEOMETRY, samplers: SAMPLERS }));
+/** Begins to compile what `KeyframePasses.run` needs; gives the names. */
+export function prepareKeyframes(programs: Programs, degree: number): string[] {
+  programs.prepare("keyframe geometry", () => ({ vertex: WHOLE, fragment: KEYFRAME_GEOMETRY, samplers: SAMPLERS }));
   const runs = layerRuns(degree);
   for (const { name, first, count } of runs) {
-    const fragment = () => keyColours(colourChannels(degree), first, count);
+    const fragment = () => keyframeColours(colourChannels(degree), first, count);
     programs.prepare(name, () => ({ vertex: WHOLE, fragment: fragment(), samplers: SAMPLERS }));
   }
-  return ["key geometry", ...runs.map(({ name }) => name)];
+  return ["keyframe geometry", ...runs.map(({ name }) => name)];
 }
 
-/** Uploads key pictures when it is made, and draws the canonical space from them when the programs are there. */
-class KeyPasses {
+/** Uploads keyframe pictures when it is made, and draws the canonical space from them when the programs are there. */
+class KeyframePasses {
   readonly #parts: Part[] = [];
 
   constructor(
@@ -59,17 +59,17 @@ class KeyPasses {
     private readonly group: Group,
     { parts, quality }: Canonical,
   ) {
-    const [steps, changes] = [keySteps(root, group, quality), differenceSteps(root, group, quality)];
+    const [steps, changes] = [keyframeSteps(root, group, quality), differenceSteps(root, group, quality)];
     let first = 0;
     for (const part of parts) {
       const { atlas, factor, difference } = part;
-      const read = (key: KeyPart | null, of: Atlas, steps: Float32Array, colour: number) => {
+      const read = (keyframe: KeyframePart | null, of: Atlas, steps: Float32Array, colour: number) => {
         const scaled = steps.map((step) => step * factor);
-        return { samples: key && uploaded(gl, key), codes: codeTable(of, scaled, colour) };
+        return { samples: keyframe && uploaded(gl, keyframe), codes: codeTable(of, scaled, colour) };
       };
       const none = { ...atlas, centres: [...changes].fill(0), planes: [] };
-      const own = read(part, atlas, steps, KEY_AT.colour);
-      const added = read(difference, difference?.atlas ?? none, changes, STATE_AT.colour);
+      const own = read(part, atlas, steps, KEYFRAME_AT.colour);
+      const added = read(difference, difference?.atlas ?? none, changes, DELTA_AT.colour);
       this.#parts.push({ pictures: [own, added], first, rows: atlas.rows });
       first += atlas.rows;
     }
@@ -86,7 +86,7 @@ class KeyPasses {
     gl.bindVertexArray(null);
     gl.disable(gl.BLEND);
     gl.enable(gl.SCISSOR_TEST);
-    this.#pass(framebuffer(gl, [rotations, sizes]), (part) => programs.use("key geometry", textures(part)));
+    this.#pass(framebuffer(gl, [rotations, sizes]), (part) => programs.use("keyframe geometry", textures(part)));
     for (const { name, first, count } of layerRuns(degree)) {
       const run = Array.from({ length: count }, (_, l) => first + l);
       const target = framebuffer(gl, new Array<Texture>(count).fill(layers), run);
@@ -111,7 +111,7 @@ class KeyPasses {
       pictures.forEach(({ codes, samples }, n) => {
         setCodes(gl, (name) => at(name + (n ? 2 : "")), codes, samples);
       });
-      gl.uniform2f(at("tintSteps"), ...tintSteps(this.group.key_steps));
+      gl.uniform2f(at("tintSteps"), ...tintSteps(this.group.keyframe_steps));
       gl.uniform1f(at("unit"), Math.log(gridUnit(this.group)));
       gl.uniform2i(at("span"), first, rows);
       const line = Math.floor(first / ROW_WIDTH);
@@ -122,7 +122,7 @@ class KeyPasses {
   }
 }
 
-function uploaded(gl: WebGL2RenderingContext, { atlas, luma, bases }: KeyPart): Samples {
+function uploaded(gl: WebGL2RenderingContext, { atlas, luma, bases }: KeyframePart): Samples {
   const samples = new Samples(gl, atlas);
   samples.setLuma(luma);
   if (bases) samples.change(bases);
@@ -141,7 +141,7 @@ export function setCodes(gl: WebGL2RenderingContext, at: Uniforms, codes: CodeTa
   gl.uniform1iv(at("tintChannels"), codes.tintChannels);
 }
 
-/** A group on the GPU, in a key quality. Made by `Renderer.scene`, released by `Renderer.free`. */
+/** A group on the GPU, in a keyframe quality. Made by `Renderer.scene`, released by `Renderer.free`. */
 export class Scene {
   readonly rows: number;
   readonly degree: number;
@@ -157,7 +157,7 @@ export class Scene {
   readonly projection: WebGLFramebuffer;
   readonly tintSteps: [number, number];
   /** Passes that have yet to run; null: the canonical space is there. */
-  keys: KeyPasses | null;
+  keyframes: KeyframePasses | null;
   /** The level of the picture that is shown. */
   shown: LevelView | null = null;
   /** Whether `shown` has a picture, or the canonical space is shown. */
@@ -193,8 +193,8 @@ export class Scene {
     this.seconds = texture(gl, "RGBA32UI", size);
     this.projection = framebuffer(gl, [this.firsts, this.seconds]);
     writeRows(gl, this.places, interleave(canonical), 4);
-    this.tintSteps = tintSteps(group.state_steps);
-    this.keys = new KeyPasses(gl, this, root, group, canonical);
+    this.tintSteps = tintSteps(group.delta_steps);
+    this.keyframes = new KeyframePasses(gl, this, root, group, canonical);
   }
 
   get #gone(): boolean {
@@ -210,7 +210,7 @@ export class Scene {
     }
     this.#drop();
     const atlas = this.group.levels[level];
-    const codes = codeTable(atlas, stateSteps(this.root, this.group, level), STATE_AT.colour);
+    const codes = codeTable(atlas, deltaSteps(this.root, this.group, level), DELTA_AT.colour);
     this.#next = { level, atlas, codes, samples: new Samples(this.gl, atlas) };
   }
 
@@ -262,7 +262,7 @@ export class Scene {
     const own = [this.places, this.rotations, this.sizes, this.ranks, this.layers, this.transform, this.order];
     for (const { handle } of [...own, this.firsts, this.seconds]) gl.deleteTexture(handle);
     gl.deleteFramebuffer(this.projection);
-    this.keys?.free();
+    this.keyframes?.free();
     this.shown?.samples.free();
     this.#drop();
   }

@@ -3,7 +3,7 @@
 //
 // A pass over rows draws one triangle over the row textures: each fragment is a row. Attributes are stored as the bits of
 // floats in RGBA32UI textures, which core WebGL2 can draw into.
-import { ALPHA_MAX, BLOCK, ESCAPE_UNIT, GREY, KEY_AT, SMALL_ANGLE, STATE_AT } from "../generated/constants.ts";
+import { ALPHA_MAX, BLOCK, ESCAPE_UNIT, GREY, KEYFRAME_AT, SMALL_ANGLE, DELTA_AT } from "../generated/constants.ts";
 
 /** Rows a line of the row textures. With as many lines, which every WebGL2 of today has, they hold 2^24 rows. */
 export const ROW_WIDTH = 4096;
@@ -82,8 +82,8 @@ int row() {
 }
 `;
 
-export const KEY_GEOMETRY = `${HEAD}${both(CODES)}${TURNS}${ROW}
-uniform ivec4 entries[${KEY_AT.colour}], entries2[${STATE_AT.colour}];
+export const KEYFRAME_GEOMETRY = `${HEAD}${both(CODES)}${TURNS}${ROW}
+uniform ivec4 entries[${KEYFRAME_AT.colour}], entries2[${DELTA_AT.colour}];
 uniform float unit; // ln of that of the grid
 layout(location = 0) out uvec4 rotation;
 layout(location = 1) out uvec4 size;
@@ -91,8 +91,8 @@ void main() {
   int i = row();
   if (i < 0) discard;
   ${both("ivec2 at = place(i);")}
-  rotation = floatBitsToUint(product(turn(${second(three(STATE_AT.quaternions))}), turn(${three(KEY_AT.quaternions)})));
-  size = floatBitsToUint(vec4(vec3(unit), 0.0) + ${size(KEY_AT)} + ${second(size(STATE_AT))});
+  rotation = floatBitsToUint(product(turn(${second(three(DELTA_AT.quaternions))}), turn(${three(KEYFRAME_AT.quaternions)})));
+  size = floatBitsToUint(vec4(vec3(unit), 0.0) + ${size(KEYFRAME_AT)} + ${second(size(DELTA_AT))});
 }`;
 
 /** Colour channels that may differ from 0: their code table, and which line of the transform each is. */
@@ -103,7 +103,7 @@ export const COLOURS = "uniform sampler2D transform; uniform vec2 tintSteps;"; /
 /** Layer l holds the colours 4 l to 4 l + 3: the first three are SH DC. */
 export const layerSteps = (layer: number) => (layer ? "tintSteps.y" : "vec4(tintSteps.xxx, tintSteps.y)");
 
-export const keyColours = (
+export const keyframeColours = (
   channels: number,
   first: number,
   count: number,

@@ -1,5 +1,5 @@
 // What tests/support/decoded.py writes: a package as the renderer takes it, and what every camera is to see.
-import type { BaseChanges, Camera, Canonical, Group, KeyPart, Root } from "../../src/format/types.ts";
+import type { BaseChanges, Camera, Canonical, Group, KeyframePart, Root } from "../../src/format/types.ts";
 
 const TYPES = { uint8: Uint8Array, uint32: Uint32Array, int32: Int32Array, float32: Float32Array };
 type Reference = [keyof typeof TYPES, number, number];
@@ -106,7 +106,7 @@ export class Decoded {
       depths: this.#array(depths),
       parts: parts.map((part) => {
         const { keeps } = tables[group];
-        const key = (picture: PictureTable, number: number, difference: KeyPart | null): KeyPart => {
+        const keyframe = (picture: PictureTable, number: number, difference: KeyframePart | null): KeyframePart => {
           const { qualities, factor } = tables[number].tiers[part.tier];
           const luma = this.#array<Uint8Array>(picture.luma!);
           return { atlas: qualities[quality], factor, luma, bases: this.#changes(picture), difference };

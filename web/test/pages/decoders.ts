@@ -69,8 +69,8 @@ async function watched(step: Record<string, unknown>): Promise<unknown> {
   };
   await fetched([groupPath(1)]);
   const { tiers } = tables.root;
-  await fetched(Array.from({ length: tiers }, (_, tier) => tables.keyFiles(0, tier, 0)).flat());
-  await fetched(tables.stateFiles(0, level));
+  await fetched(Array.from({ length: tiers }, (_, tier) => tables.keyframeFiles(0, tier, 0)).flat());
+  await fetched(tables.deltaFiles(0, level));
   watch({ after, times });
   const came: number[] = [];
   let said = "";

@@ -3,10 +3,10 @@
 import { openFrames } from "../../src/airgs-frames.ts";
 import { atlasSamples, basesAfter } from "../../src/format/atlas.ts";
 import { FormatError } from "../../src/format/errors.ts";
-import { readStates } from "../../src/format/files.ts";
+import { readDeltas } from "../../src/format/files.ts";
 import { canonicalGaussians, shownGaussians } from "../../src/format/gaussians.ts";
 import { groupPath } from "../../src/format/paths.ts";
-import type { Atlas, BaseChanges, Canonical, CanonicalName, Gaussians, StateFrame } from "../../src/format/types.ts";
+import type { Atlas, BaseChanges, Canonical, CanonicalName, Gaussians, DeltaFrame } from "../../src/format/types.ts";
 import { type Fetched, Media } from "../../src/media/client.ts";
 import { PictureDecoder } from "../../src/media/pictures.ts";
 import { probeBrowser } from "../../src/media/probe.ts";
@@ -45,15 +45,15 @@ async function digests(luma: Uint8Array, atlas: Atlas): Promise<string[]> {
   return found;
 }
 
-/** A canonical space, whose key files it fetches. */
+/** A canonical space, whose keyframe files it fetches. */
 async function canonicalOf(media: Media, of: CanonicalName) {
-  demand(await media.fetch(media.tables.keysOf(of.group, of.quality, of.tiers), { attempts: 1 }));
+  demand(await media.fetch(media.tables.keyframesOf(of.group, of.quality, of.tiers), { attempts: 1 }));
   return media.canonical(of);
 }
 
 async function framesOf(media: Media, segment: number, level: number, of: CanonicalName) {
-  const frames: (StateFrame | null)[] = [];
-  demand(await media.fetch(media.tables.stateFiles(segment, level), { attempts: 1 }));
+  const frames: (DeltaFrame | null)[] = [];
+  demand(await media.fetch(media.tables.deltaFiles(segment, level), { attempts: 1 }));
   const count = await media.segment(segment, level, of, (t, frame) => {
     if (t !== frames.length) throw new Error(`expected frame ${frames.length}, got ${t}`);
     frames.push(frame);
@@ -75,7 +75,7 @@ async function luma({ url }: Step): Promise<unknown> {
       const canonical = await canonicalOf(media, { ...of, quality });
       const keeps = media.tables.base(group) !== null;
       const own = canonical.parts.flatMap((part) => (keeps ? (part.difference ?? []) : part));
-      const tiers = Array.from({ length: root.tiers }, (_, tier) => media.tables.keyFiles(group, tier, quality));
+      const tiers = Array.from({ length: root.tiers }, (_, tier) => media.tables.keyframeFiles(group, tier, quality));
       const pictures = tiers.flat().filter((path) => path.endsWith(".m4s"));
       for (const [i, part] of own.entries()) found[pictures[i]] = await digests(part.luma, part.atlas);
     }
@@ -84,7 +84,7 @@ async function luma({ url }: Step): Promise<unknown> {
       for (const [level, atlas] of media.tables.group(group).levels.entries()) {
         const frames = await framesOf(media, segment, level, of);
         const parts = await Promise.all(frames.map((frame) => (frame ? digests(frame.luma, atlas) : [])));
-        const [path] = media.tables.stateFiles(segment, level);
+        const [path] = media.tables.deltaFiles(segment, level);
         if (path) found[path] = parts[0].flatMap((_, page) => parts.map((pages) => pages[page]));
       }
     }
@@ -131,8 +131,8 @@ async function shownOf(media: Media, segment: number, level: number, canonical: 
   return (await framesOf(media, segment, level, canonical)).map((shown) => {
     changes.push(shown?.bases ?? null);
     const slopes = changes[0]?.slopes ?? null;
-    const state = shown && { ...shown, level, slopes, bases: basesAfter(samples, changes) };
-    const gaussians = shownGaussians(root, table, base, canonical, state);
+    const delta = shown && { ...shown, level, slopes, bases: basesAfter(samples, changes) };
+    const gaussians = shownGaussians(root, table, base, canonical, delta);
     return { gaussians, sorted: shown?.means ?? canonical.means };
   });
 }
@@ -216,9 +216,9 @@ async function ahead({ url }: Step): Promise<unknown> {
   await openGroup(media, 0);
   const of = { group: 0, quality: 0, tiers: media.tables.root.tiers };
   await canonicalOf(media, of);
-  const [path] = media.tables.stateFiles(0, 0);
+  const [path] = media.tables.deltaFiles(0, 0);
   demand(await media.fetch([path]));
-  const frames: (StateFrame | null)[] = [];
+  const frames: (DeltaFrame | null)[] = [];
   const waiting = media.segment(0, 0, of, (_, frame) => frames.push(frame));
   const settled = async () => {
     for (let before = -1; before !== frames.length; ) {
@@ -248,7 +248,7 @@ async function mistakes({ url }: Step): Promise<unknown> {
   const media = await Media.open(url);
   const said: unknown[] = [];
   const say = (error: unknown) => said.push(describe(error));
-  const early = await media.fetch(["key/T0/1.bin", "nothing/1.bin"]);
+  const early = await media.fetch(["keyframe/T0/1.bin", "nothing/1.bin"]);
   for (const error of early.refused.values()) say(error);
   await openGroup(media, 0);
   const of = { group: 0, quality: 0, tiers: 1 };
@@ -267,35 +267,35 @@ async function opening({ url }: Step): Promise<unknown> {
   return { groups: media.tables.index.groups, bytes: media.opened.bytes };
 }
 
-/** What the player's decoder makes of state files in which one bit of a coded picture is flipped: no digest is looked at. */
+/** What the player's decoder makes of delta files in which one bit of a coded picture is flipped: no digest is looked at. */
 async function flips(step: Step): Promise<unknown> {
   const { url, level, seed, count, seconds } = step as Step & Record<"level" | "seed" | "count" | "seconds", number>;
   const media = await Media.open(url);
   await openGroup(media, 0);
-  const [path] = media.tables.stateFiles(0, level);
+  const [path] = media.tables.deltaFiles(0, level);
   const bytes = new Uint8Array(await (await fetch(new URL(path, new URL(url, location.href)))).arrayBuffer());
-  const read = () => readStates(media.tables.group(0), { segment: 0, place: 0, level }, bytes.slice());
+  const read = () => readDeltas(media.tables.group(0), { segment: 0, place: 0, level }, bytes.slice());
   const decoder = new PictureDecoder(await probeBrowser());
-  const decode = async (states: ReturnType<typeof read>) => {
+  const decode = async (deltas: ReturnType<typeof read>) => {
     const pictures: Uint8Array[] = [];
-    await decoder.decode({ ...states, where: path }, (t, luma) => (pictures[t] = luma));
+    await decoder.decode({ ...deltas, where: path }, (t, luma) => (pictures[t] = luma));
     return pictures;
   };
   const right = await decode(read());
   const came = { tried: 0, refused: 0, same: 0, other: 0, unlike: [] as string[] };
   const end = performance.now() + 1e3 * seconds;
-  let state = seed;
+  let delta = seed;
   const chance = (below: number) => {
-    state = (Math.imul(state, 1664525) + 1013904223) >>> 0; // Numerical Recipes' generator
-    return Math.floor((state / 2 ** 32) * below);
+    delta = (Math.imul(delta, 1664525) + 1013904223) >>> 0; // Numerical Recipes' generator
+    return Math.floor((delta / 2 ** 32) * below);
   };
   while (came.tried < count && performance.now() < end) {
-    const states = read();
-    const samples = states.pages.flat();
+    const deltas = read();
+    const samples = deltas.pages.flat();
     const { data } = samples[chance(samples.length)];
     data[chance(data.length)] ^= 1 << chance(8);
     came.tried++;
-    const got = await decode(states).catch((error: Error) => error);
+    const got = await decode(deltas).catch((error: Error) => error);
     if (got instanceof Error) {
       came.refused++;
       if (!(got instanceof FormatError && got.reason === "bad_picture")) came.unlike.push(String(got));

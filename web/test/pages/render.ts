@@ -75,9 +75,9 @@ class Stage {
   }
 
   /** Goes to a frame; shown or dropped, its bases are told. */
-  step(scene: Scene, frame: Frame, shown: boolean, atlas: Parameters<Scene["state"]>[0]): void {
+  step(scene: Scene, frame: Frame, shown: boolean, atlas: Parameters<Scene["delta"]>[0]): void {
     if (frame.changes) scene.change(frame.changes);
-    if (shown) scene.state(atlas, frame.luma, frame.time);
+    if (shown) scene.delta(atlas, frame.luma, frame.time);
     this.look("state");
   }
 }
@@ -167,7 +167,7 @@ async function change(data: Decoded) {
   stage.renderer.free(old);
   stage.draw(next, camera);
   const after = compare(stage.renderer, frames[1].pictures[0]);
-  old.state(first.group.levels[level], frames[0].luma);
+  old.delta(first.group.levels[level], frames[0].luma);
   const freed = stage.renderer.draw(old, camera);
   stage.look("freed");
   return { early, same, between, after, freed, errors: stage.errors };
@@ -199,7 +199,7 @@ async function lost(data: Decoded) {
   for (const one of [scene, dead]) {
     one.begin(level);
     one.change({ texels: Uint32Array.of(1), bases: Int32Array.of(1) });
-    one.state(group.levels[level], frame.luma);
+    one.delta(group.levels[level], frame.luma);
     one.sort(Uint32Array.of(0));
   }
   const idle = [renderer.lost, renderer.busy, renderer.ready(dead), renderer.draw(scene, camera)];
@@ -257,11 +257,11 @@ async function refusals(data: Decoded) {
       return String(error);
     }
   };
-  const messages = [told(() => scene.state(atlas, luma))];
+  const messages = [told(() => scene.delta(atlas, luma))];
   scene.begin(level);
   messages.push(
-    told(() => scene.state(atlas, luma.subarray(1))),
-    told(() => scene.state({ ...atlas }, luma)),
+    told(() => scene.delta(atlas, luma.subarray(1))),
+    told(() => scene.delta({ ...atlas }, luma)),
     told(() => scene.sort(new Uint32Array(canonical.depths.length + 1))),
     told(() => new Renderer(Object.assign(document.createElement("canvas"), { getContext: () => null }))),
   );

@@ -1,6 +1,6 @@
 // What a package offers a player, from numbers alone: `Offers` without files or tables. All count from 0.
 import { GroupIndex } from "../../src/format/index.ts";
-import { keyMediaPath, keySidecarPath, locate, pagePath, soundPath, stateMediaPath } from "../../src/format/paths.ts";
+import { keyframeMediaPath, keyframeSidecarPath, locate, pagePath, soundPath, deltaMediaPath } from "../../src/format/paths.ts";
 import { PAGE } from "../../src/generated/constants.ts";
 import type { OfferTables } from "../../src/play/offers.ts";
 
@@ -17,14 +17,14 @@ export interface GroupNumbers {
   table: number;
   /** Of a package with sound. */
   sound?: number;
-  /** Gaussians, one a key tier, where a test counts them. */
+  /** Gaussians, one a keyframe tier, where a test counts them. */
   rows?: number[];
-  /** One a key tier; 0: no rows. */
+  /** One a keyframe tier; 0: no rows. */
   sidecars: number[];
-  /** By key tier and quality. */
+  /** By keyframe tier and quality. */
   pictures: number[][];
   segments: SegmentNumbers[];
-  /** The group, from 1, that its keys are differences to. */
+  /** The group, from 1, that its keyframes are differences to. */
   keeps?: number;
 }
 
@@ -110,10 +110,10 @@ export class NumberTables implements OfferTables {
     return rows ?? sidecars.map(() => 0);
   }
 
-  keyFiles(group: number, tier: number, quality: number): string[] {
+  keyframeFiles(group: number, tier: number, quality: number): string[] {
     const { sidecars, pictures } = this.numbers.groups[group];
-    const files = sidecars[tier] ? [keySidecarPath(tier, group + 1)] : [];
-    return pictures[tier][quality] ? [...files, keyMediaPath(tier, quality, group + 1)] : files;
+    const files = sidecars[tier] ? [keyframeSidecarPath(tier, group + 1)] : [];
+    return pictures[tier][quality] ? [...files, keyframeMediaPath(tier, quality, group + 1)] : files;
   }
 
   base(group: number): number | null {
@@ -125,11 +125,11 @@ export class NumberTables implements OfferTables {
     return this.numbers.groups[group].sound ? [soundPath(group + 1)] : [];
   }
 
-  stateFiles(segment: number, level: number): string[] {
-    return this.stateBytes(segment, level) ? [stateMediaPath(level, segment + 1)] : [];
+  deltaFiles(segment: number, level: number): string[] {
+    return this.deltaBytes(segment, level) ? [deltaMediaPath(level, segment + 1)] : [];
   }
 
-  private stateBytes(segment: number, level: number): number {
+  private deltaBytes(segment: number, level: number): number {
     const { entry, part } = this.part(segment);
     return part.segments[segment - entry.firstSegment].bytes[level];
   }
@@ -143,7 +143,7 @@ export class NumberTables implements OfferTables {
     if (found.what === "group") return { bytes: group.table };
     if (found.what === "sound") return { bytes: group.sound ?? 0 };
     const [first, second] = found.numbers;
-    if (found.what === "state") return { bytes: this.stateBytes(number, first) };
+    if (found.what === "delta") return { bytes: this.deltaBytes(number, first) };
     return { bytes: found.what === "sidecar" ? group.sidecars[first] : group.pictures[first][second] };
   }
 

@@ -69,7 +69,7 @@ const find = (node: FakeElement, selector: string) => inside(node).querySelector
 const button = (node: FakeElement, label: string) => find(node, `button[aria-label^="${label}"]`);
 const away = (node: FakeElement) => Math.hypot(...player(node).camera.position);
 
-async function press(...keys: string[]): Promise<void> {
+async function press(...keyframes: string[]): Promise<void> {
   for (const key of keys) await window.drive("keyboard.press", key);
 }
 
@@ -457,7 +457,7 @@ export const cases: Record<string, () => Promise<object>> = {
     await say("newer", { refusal: new FormatError("unknown_version", "airgs.json", "expected 12, got 99") });
     await say("network", { refusal: Object.assign(new Error("no answer"), { name: "TransportError" }) });
     const node = await element();
-    player(node).problem({ message: "state/L0/3.m4s: no answer, trying again", fatal: false, error: null });
+    player(node).problem({ message: "delta/L0/3.m4s: no answer, trying again", fatal: false, error: null });
     said.note = find(node, ".notes").textContent;
     player(node).dispatchEvent(new CustomEvent("progress"));
     await until(() => find(node, ".notes").textContent === "");

@@ -35,7 +35,7 @@ async function levels(budget: number, name: string): Promise<(number | null)[]> 
   const made = { ...parts, stores: new Stores(offers), policy: makePolicy(name, offers) };
   const shown: (number | null)[] = [];
   for await (const event of new Session(made, new AbortController().signal).run()) {
-    if (event.type === "arrived" && event.arrival.request.batch.keys.length) {
+    if (event.type === "arrived" && event.arrival.request.batch.keyframes.length) {
       const { position, rung } = event.arrival.request;
       assert.ok(offers.of(offers.index(position)).rungs[rung].gaussians <= budget);
     }

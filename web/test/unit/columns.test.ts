@@ -128,8 +128,8 @@ for (const { name, frames, planes, rows, data } of escapes.refused) {
 }
 
 test("a refusal says what, where and why", () => {
-  assert.throws(() => new ColumnReader(new Uint8Array(2), "key/T0/1.bin"), {
-    message: "key/T0/1.bin: expected at least 5 bytes, got 2 (bad_sidecar)",
+  assert.throws(() => new ColumnReader(new Uint8Array(2), "keyframe/T0/1.bin"), {
+    message: "keyframe/T0/1.bin: expected at least 5 bytes, got 2 (bad_sidecar)",
   });
   assert.ok(new FormatError("bad_value", "a", "b") instanceof Error);
 });

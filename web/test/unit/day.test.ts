@@ -48,7 +48,7 @@ test("a viewer who stays for a day of groups of a second, looking each minute, h
       const segments = [{ ...group.segments[0], start: number, stop: number + 1 }];
       await tables.addGroup(number, gzipSync(JSON.stringify({ ...group, start: number, stop: number + 1, segments })));
     }
-    const batch = { keys: [], state: [], tables: [path] };
+    const batch = { keyframes: [], delta: [], tables: [path] };
     store.add({ request: { batch }, whole: [path], refused: new Map() } as unknown as Arrival);
   };
   const pages = (upTo: number) => {

@@ -1,7 +1,7 @@
 // What a player fetches for groups that keep rows of an earlier one: numbers that can be added up by hand.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { type Keys, NONE, Offers, optionsOf, sizesOf } from "../../src/play/offers.ts";
+import { type Keyframes, NONE, Offers, optionsOf, sizesOf } from "../../src/play/offers.ts";
 import { sizesAfter } from "../../src/play/policies/mpc.ts";
 import { RungTotals } from "../../src/play/rungs.ts";
 import { Session } from "../../src/play/session.ts";
@@ -48,25 +48,25 @@ class Viewer {
   readonly stores = new Stores(this.offers);
   readonly downloader = new SimulatedDownloader({ trace: new Trace([0], [1e9], 3600), rttS: 0.05 }, this.offers);
 
-  /** Plays from a position on in a rung, and gives the keys that are asked for by position. */
+  /** Plays from a position on in a rung, and gives the keyframes that are asked for by position. */
   async keys(policy: string, from = 0): Promise<Map<number, readonly string[]>> {
     const first = this.downloader.requests.length;
     const parts = { ...this, policy: makePolicy(policy, this.offers) };
     for await (const _ of new Session(parts, new AbortController().signal, from).run());
-    const asked = this.downloader.requests.slice(first).filter(({ batch }) => batch.keys.length);
-    return new Map(asked.map(({ position, batch }) => [position, batch.keys]));
+    const asked = this.downloader.requests.slice(first).filter(({ batch }) => batch.keyframes.length);
+    return new Map(asked.map(({ position, batch }) => [position, batch.keyframes]));
   }
 }
 
 const all = (quality: number, ...groups: number[]) =>
   groups.flatMap((group) =>
-    [0, 1].flatMap((tier) => [`key/T${tier}/${group}.bin`, `key/T${tier}/Q${quality}/${group}.m4s`]),
+    [0, 1].flatMap((tier) => [`keyframe/T${tier}/${group}.bin`, `keyframe/T${tier}/Q${quality}/${group}.m4s`]),
   );
 
 test("the bytes of a group that keeps rows depend on what is held of the other", () => {
   const { offers } = new Viewer();
   const both = new Set([0, 1]);
-  const sizes = (segment: number, decoded: Keys) => [...sizesOf(offers.of(segment), decoded)];
+  const sizes = (segment: number, decoded: Keyframes) => [...sizesOf(offers.of(segment), decoded)];
   assert.deepEqual(sizes(2, NONE), [3387, 1163, 1252, 428]);
   assert.deepEqual(sizes(2, both), [87, 63, 1252, 428]);
   assert.deepEqual(sizes(2, new Set([0, 1, 4, 5])), [7, 3, 1252, 428]);
@@ -91,20 +91,20 @@ test("at the start of a group the rung before tells what is held", () => {
 });
 
 test("what was decoded of a group is not fetched for another, and again in the next loop", async () => {
-  const keys = await new Viewer().keys("fixed:0");
-  const later = ["key/T0/2.bin", "key/T0/Q0/2.m4s", "key/T1/2.bin"];
-  const last = ["key/T0/3.bin", "key/T0/Q0/3.m4s", "key/T1/3.bin"];
+  const keyframes = await new Viewer().keys("fixed:0");
+  const later = ["keyframe/T0/2.bin", "keyframe/T0/Q0/2.m4s", "keyframe/T1/2.bin"];
+  const last = ["keyframe/T0/3.bin", "keyframe/T0/Q0/3.m4s", "keyframe/T1/3.bin"];
   const loop = [all(0, 1), later, last];
-  assert.deepEqual([...keys.keys()], [0, 2, 4, 6, 8, 10]);
-  assert.deepEqual([...keys.values()], [...loop, ...loop]);
+  assert.deepEqual([...keyframes.keys()], [0, 2, 4, 6, 8, 10]);
+  assert.deepEqual([...keyframes.values()], [...loop, ...loop]);
 });
 
 test("who joins in the middle reads what is kept there, and needs it but once", async () => {
   const viewer = new Viewer();
-  const keys = await viewer.keys("fixed:0", 2);
-  const second = ["key/T0/2.bin", "key/T0/Q0/2.m4s", "key/T0/1.bin", "key/T0/Q0/1.m4s"];
-  assert.deepEqual(keys.get(2), [...second, "key/T1/2.bin", "key/T1/1.bin", "key/T1/Q0/1.m4s"]);
-  assert.deepEqual(keys.get(4), ["key/T0/3.bin", "key/T0/Q0/3.m4s", "key/T1/3.bin"]);
+  const keyframes = await viewer.keys("fixed:0", 2);
+  const second = ["keyframe/T0/2.bin", "keyframe/T0/Q0/2.m4s", "keyframe/T0/1.bin", "keyframe/T0/Q0/1.m4s"];
+  assert.deepEqual(keyframes.get(2), [...second, "keyframe/T1/2.bin", "keyframe/T1/1.bin", "keyframe/T1/Q0/1.m4s"]);
+  assert.deepEqual(keyframes.get(4), ["keyframe/T0/3.bin", "keyframe/T0/Q0/3.m4s", "keyframe/T1/3.bin"]);
   const tables = viewer.downloader.requests.flatMap(({ batch }) => batch.tables);
   assert.deepEqual(tables, ["airgs.json", "group/2.json.gz", "group/1.json.gz", "group/3.json.gz"]);
 });
@@ -114,7 +114,7 @@ test("the table of the other group may stand on a page that nobody has read", ()
   const groups = [...new Array(65).fill(BASE), { ...SOME, keeps: 3 }];
   const { tables } = new Stores(new Offers(new NumberTables({ ...numbers, groups })));
   const read = (path: string) => {
-    const batch = { keys: [], state: [], tables: [path] };
+    const batch = { keyframes: [], delta: [], tables: [path] };
     const request = { kind: "tables" as const, position: 0, rung: 0, batch, sentS: 0 };
     const times = { firstByteS: 0, atS: 0, bytes: 1, abandoned: false, cached: false };
     tables.add({ request, ...times, whole: [path], refused: new Map() });
@@ -132,34 +132,34 @@ test("another quality needs the other group in that quality", async () => {
   await viewer.keys("fixed:Q0+L0");
   viewer.playout.restart();
   const again = await viewer.keys("fixed:Q1+L0", 2);
-  const second = ["key/T0/2.bin", "key/T0/Q1/2.m4s", "key/T0/1.bin", "key/T0/Q1/1.m4s"];
-  assert.deepEqual(again.get(2), [...second, "key/T1/2.bin", "key/T1/1.bin", "key/T1/Q1/1.m4s"]);
+  const second = ["keyframe/T0/2.bin", "keyframe/T0/Q1/2.m4s", "keyframe/T0/1.bin", "keyframe/T0/Q1/1.m4s"];
+  assert.deepEqual(again.get(2), [...second, "keyframe/T1/2.bin", "keyframe/T1/1.bin", "keyframe/T1/Q1/1.m4s"]);
 });
 
 test("a tier is shown when what it keeps is there as well", async () => {
   const { offers, stores, downloader, playout } = new Viewer();
-  const batch = stores.keys.missing(2, 0);
+  const batch = stores.keyframes.missing(2, 0);
   const request = { kind: "group" as const, position: 2, rung: 0, batch, sentS: 0 };
   const arrival = await downloader.fetch(request, null, new AbortController().signal);
-  stores.keys.add({ ...arrival, whole: batch.keys.slice(0, 5) }); // no table of tier 1 of the other group
-  const decoded = [0, 1, 4, 5].filter((number) => stores.keys.decoded(2).has(number));
-  assert.deepEqual([decoded, stores.keys.shownTiers(2, 0)], [[0, 4, 5], 1]);
-  assert.deepEqual(stores.keys.missing(2, 0).keys, ["key/T1/1.bin", "key/T1/Q0/1.m4s"]);
-  stores.keys.add(arrival);
-  assert.equal(stores.keys.shownTiers(2, 0), 2);
+  stores.keyframes.add({ ...arrival, whole: batch.keyframes.slice(0, 5) }); // no table of tier 1 of the other group
+  const decoded = [0, 1, 4, 5].filter((number) => stores.keyframes.decoded(2).has(number));
+  assert.deepEqual([decoded, stores.keyframes.shownTiers(2, 0)], [[0, 4, 5], 1]);
+  assert.deepEqual(stores.keyframes.missing(2, 0).keyframes, ["keyframe/T1/1.bin", "keyframe/T1/Q0/1.m4s"]);
+  stores.keyframes.add(arrival);
+  assert.equal(stores.keyframes.shownTiers(2, 0), 2);
   assert.deepEqual([offers.knows(2), playout.end], [true, 12]);
 });
 
-test("however many loops are buffered, their keys are known until they have been played", async () => {
+test("however many loops are buffered, their keyframes are known until they have been played", async () => {
   const { offers, stores, downloader } = new Viewer();
   for (let position = 0; position < offers.end(200); position += offers.segments) {
-    const batch = stores.keys.missing(position, 0);
+    const batch = stores.keyframes.missing(position, 0);
     const request = { kind: "group" as const, position, rung: 0, batch, sentS: 0 };
-    stores.keys.add(await downloader.fetch(request, null, new AbortController().signal));
+    stores.keyframes.add(await downloader.fetch(request, null, new AbortController().signal));
   }
-  const known = (loop: number) => stores.keys.decoded(loop * offers.segments).has(0);
+  const known = (loop: number) => stores.keyframes.decoded(loop * offers.segments).has(0);
   assert.deepEqual([0, 199].map(known), [true, true]);
-  stores.keys.forget(100 * offers.segments + 1);
+  stores.keyframes.forget(100 * offers.segments + 1);
   assert.deepEqual([99, 100, 199].map(known), [false, true, true]);
 });
 
@@ -172,6 +172,6 @@ test("before the table of the other group is there nothing is said of bytes", ()
 
 test("people see what a rung costs where the group before is there", () => {
   const { offers } = new Viewer();
-  const bytes = 3300 + 80 + 100 + 6 * 7; // keys of three groups in Q0, six states
+  const bytes = 3300 + 80 + 100 + 6 * 7; // keyframes of three groups in Q0, six deltas
   assert.equal(new RungTotals(offers).read()[0].kbps, (8 * bytes) / 6 / 1000);
 });

@@ -51,7 +51,7 @@ function made() {
 }
 
 function request(offers: Offers, tables: string[] = []): Request {
-  const batch = tables.length ? { keys: [], state: [], tables } : missing(offers.of(0), 0, NONE);
+  const batch = tables.length ? { keyframes: [], delta: [], tables } : missing(offers.of(0), 0, NONE);
   return { kind: tables.length ? "tables" : "group", position: 0, rung: 0, batch, sentS: 0 };
 }
 
@@ -67,7 +67,7 @@ test("airgs.json was fetched when the package was opened; later another package 
 test("the round trip is the shortest wait that no cache has shortened", async () => {
   const { offers, downloader, source } = made();
   assert.equal(downloader.rttS, 0);
-  const whole = [...missing(offers.of(0), 0, NONE).keys];
+  const whole = [...missing(offers.of(0), 0, NONE).keyframes];
   for (const [waitS, cached, expected] of [
     [5, false, 5],
     [1, true, 5],
@@ -100,7 +100,7 @@ test("a download is looked at from its first byte on; what is whole when it is g
     [400, 900],
   );
   assert.equal(looks[0].expectedBytes, 1200);
-  assert.deepEqual([arrival.abandoned, arrival.whole], [true, asked.batch.keys.slice(0, 1)]);
+  assert.deepEqual([arrival.abandoned, arrival.whole], [true, asked.batch.keyframes.slice(0, 1)]);
 });
 
 test("a session that is stopped ends its download", async () => {

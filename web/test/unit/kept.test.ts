@@ -1,4 +1,4 @@
-// Keys that are differences: FORMAT.md. Sidecars are written by hand, tables are those of the fox, changed in group 2.
+// Keyframes that are differences: FORMAT.md. Sidecars are written by hand, tables are those of the fox, changed in group 2.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { gzipSync } from "node:zlib";
@@ -6,7 +6,7 @@ import { canonicalGaussians } from "../../src/format/gaussians.ts";
 import { Tables } from "../../src/format/package.ts";
 import { groupPath } from "../../src/format/paths.ts";
 import { readSidecar } from "../../src/format/sidecar.ts";
-import type { Canonical, Group, KeyPart } from "../../src/format/types.ts";
+import type { Canonical, Group, KeyframePart } from "../../src/format/types.ts";
 import { STATIC } from "../../src/generated/constants.ts";
 import { type Column, columnFile } from "../support/range-encoder.ts";
 import { fromBase64, readBytes, readVectors, runs } from "./files.ts";
@@ -51,10 +51,10 @@ for (const { name, rows, data } of positions.kept_refused) {
 
 const NOTHING = { bytes: 0, sha256: "" };
 
-/** The table of group 2 with keys that are differences to those of a group, of which some tiers have pictures. */
+/** The table of group 2 with keyframes that are differences to those of a group, of which some tiers have pictures. */
 function keeping(base: Group, group: Group, keeps: number, pictures: boolean[]): Group {
-  const { grid, key_steps, colour_transform, count } = base;
-  const table: Group = { ...structuredClone(group), grid, key_steps, colour_transform, count, keeps };
+  const { grid, keyframe_steps, colour_transform, count } = base;
+  const table: Group = { ...structuredClone(group), grid, keyframe_steps, colour_transform, count, keeps };
   for (const [t, tier] of table.tiers.entries()) {
     const { count, factor } = base.tiers[t]!;
     Object.assign(tier, { count, factor });
@@ -71,23 +71,23 @@ function keeping(base: Group, group: Group, keeps: number, pictures: boolean[]):
 
 const packed = (table: Group) => new Uint8Array(gzipSync(JSON.stringify(table)));
 
-/** The tables of the fox, whose second keys are differences. */
+/** The tables of the fox, whose second keyframes are differences. */
 async function fox(pictures: boolean[], keeps = 1): Promise<Tables> {
   const tables = await readTables(FOX);
   await tables.addGroup(1, packed(keeping(tables.group(0), tables.group(1), keeps, pictures)));
   return tables;
 }
 
-test("the files of a key tier, and those of the base", async () => {
+test("the files of a keyframe tier, and those of the base", async () => {
   const tables = await fox([true, false]);
   assert.deepEqual([tables.base(0), tables.base(1)], [null, 0]);
   assert.deepEqual(
-    [tables.keyFiles(1, 0, 1), tables.keyFiles(1, 1, 1)],
-    [["key/T0/2.bin", "key/T0/Q1/2.m4s"], ["key/T1/2.bin"]],
+    [tables.keyframeFiles(1, 0, 1), tables.keyframeFiles(1, 1, 1)],
+    [["keyframe/T0/2.bin", "keyframe/T0/Q1/2.m4s"], ["keyframe/T1/2.bin"]],
   );
-  assert.deepEqual(tables.keysOf(0, 0, 1), ["key/T0/1.bin", "key/T0/Q0/1.m4s"]);
-  const files = ["key/T0/2.bin", "key/T0/Q1/2.m4s", "key/T0/1.bin", "key/T0/Q1/1.m4s", "key/T1/2.bin"];
-  assert.deepEqual(tables.keysOf(1, 1, 2), [...files, "key/T1/1.bin", "key/T1/Q1/1.m4s"]);
+  assert.deepEqual(tables.keyframesOf(0, 0, 1), ["keyframe/T0/1.bin", "keyframe/T0/Q0/1.m4s"]);
+  const files = ["keyframe/T0/2.bin", "keyframe/T0/Q1/2.m4s", "keyframe/T0/1.bin", "keyframe/T0/Q1/1.m4s", "keyframe/T1/2.bin"];
+  assert.deepEqual(tables.keyframesOf(1, 1, 2), [...files, "keyframe/T1/1.bin", "keyframe/T1/Q1/1.m4s"]);
 });
 
 test("a base must be there, keep none itself and be laid out alike, whichever is read first", async () => {
@@ -100,7 +100,7 @@ test("a base must be there, keep none itself and be laid out alike, whichever is
   await assert.rejects(tables.addGroup(0, packed({ ...first, keeps: 1 })), refused); // of itself
   const changed: Record<string, (table: Group) => void> = {
     grid: (table) => Object.assign(table.grid, { finest: 3 }),
-    key_steps: (table) => Object.assign(table.key_steps, { opacity: 0.5 }),
+    keyframe_steps: (table) => Object.assign(table.keyframe_steps, { opacity: 0.5 }),
     colour_transform: (table) => Object.assign(table, { colour_transform: "" }),
     factor: (table) => Object.assign(table.tiers[1]!, { factor: 2.5 }),
   };
@@ -124,18 +124,18 @@ test("without the table of the base nothing of it can be said", async () => {
   const whole = await fox([true, false]);
   const tables = Tables.parse(read("airgs.json"));
   await tables.addGroup(1, packed(whole.group(1)));
-  assert.throws(() => tables.keysOf(1, 0, 1), /group\/1.json.gz has not been read/);
+  assert.throws(() => tables.keyframesOf(1, 0, 1), /group\/1.json.gz has not been read/);
   await tables.add(groupPath(1), read(groupPath(1)));
-  assert.deepEqual(tables.keysOf(1, 0, 1).slice(2), tables.keyFiles(0, 0, 0));
+  assert.deepEqual(tables.keyframesOf(1, 0, 1).slice(2), tables.keyframeFiles(0, 0, 0));
 });
 
 // Values
 
 test("what differs is added to the base: scales, alpha and colours by sum, rotations by product", () => {
-  const root = { key_gain: 1, sh_degree: 0, qualities: [{ factor: 1 }] } as never;
+  const root = { keyframe_gain: 1, sh_degree: 0, qualities: [{ factor: 1 }] } as never;
   const whole = Int16Array.from([1, 0, 0, 0, 1, 0, 0, 0, 1], (number) => 32767 * number);
   const group = {
-    key_steps: { log_scales: 1, quaternions: Math.PI / 2, opacity: 0.5, sh_dc: 5, sh_rest: 1 },
+    keyframe_steps: { log_scales: 1, quaternions: Math.PI / 2, opacity: 0.5, sh_dc: 5, sh_rest: 1 },
     grid: { origin: [0, 0, 0], step: 1, finest: 0 },
     colour_transform: Buffer.from(whole.buffer).toString("base64"),
   } as unknown as Group;
@@ -162,7 +162,7 @@ test("what differs is added to the base: scales, alpha and colours by sum, rotat
 });
 
 /** A picture of codes by row and channel, one plane a channel below the other. */
-function partOf(codes: number[][], factor = 1): KeyPart {
+function partOf(codes: number[][], factor = 1): KeyframePart {
   const planes = codes[0]!.map((_, channel) => channel);
   const luma = new Uint8Array(256 * planes.length).fill(128);
   const place = [0, 1, 16]; // of the first three rows

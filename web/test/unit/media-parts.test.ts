@@ -71,7 +71,7 @@ test("who gave up waits no longer", async () => {
 
 test("errors keep their class and their reason between threads", () => {
   const errors = [
-    new FormatError("bad_picture", "key/T0/Q0/1.m4s", "expected one, got two"),
+    new FormatError("bad_picture", "keyframe/T0/Q0/1.m4s", "expected one, got two"),
     new TransportError("no server"),
     new UnsupportedError("no WebCodecs"),
     aborted(),
@@ -82,7 +82,7 @@ test("errors keep their class and their reason between threads", () => {
     assert.deepEqual([got.name, got.message], [error.name, error.message]);
   }
   const [format, transport, unsupported] = errors.map((error) => fromWire(toWire(error)));
-  assert.ok(format instanceof FormatError && format.reason === "bad_picture" && format.where === "key/T0/Q0/1.m4s");
+  assert.ok(format instanceof FormatError && format.reason === "bad_picture" && format.where === "keyframe/T0/Q0/1.m4s");
   assert.ok(transport instanceof TransportError && unsupported instanceof UnsupportedError);
   assert.equal(fromWire(toWire("words")).message, "words");
 });

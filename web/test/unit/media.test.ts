@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { annexB, codecOf, nalUnits, pageSamples } from "../../src/format/avc.ts";
 import { FormatError } from "../../src/format/errors.ts";
-import { checkCount, readKeyTier, readStates } from "../../src/format/files.ts";
+import { checkCount, readKeyframeTier, readDeltas } from "../../src/format/files.ts";
 import { type Media, readMedia } from "../../src/format/mp4.ts";
 import type { Tables } from "../../src/format/package.ts";
 import { locate } from "../../src/format/paths.ts";
@@ -13,7 +13,7 @@ import { readTables } from "./walk.ts";
 
 const refused = { name: "FormatError", reason: "bad_picture" };
 const FOX = "tests/golden/fox";
-const KEY = "key/T0/Q0/1.m4s";
+const KEYFRAME = "keyframe/T0/Q0/1.m4s";
 const open = (path: string, folder = FOX): Media => readMedia(readBytes(`${folder}/${path}`), path);
 
 /** Atlas, frames and span of a file. */
@@ -21,7 +21,7 @@ function placeOf(tables: Tables, path: string): { atlas: Atlas; start: number; s
   const { what, numbers } = locate(path)!;
   const number = numbers.at(-1)! - 1;
   const [first, second] = numbers as [number, number];
-  if (what === "state") {
+  if (what === "delta") {
     const { start, stop } = tables.segment(number);
     return { atlas: tables.group(tables.groupOf(number)).levels[first]!, start, stop };
   }
@@ -36,7 +36,7 @@ for (const one of readVectors("packages").units) {
     assert.equal(columns && Buffer.from(columns).toString("base64"), one.columns);
     assert.equal(checksums.length, samples.length);
     const { atlas, start, stop } = placeOf(tables, one.path);
-    const frames = one.path.startsWith("key") ? 1 : stop - start;
+    const frames = one.path.startsWith("keyframe") ? 1 : stop - start;
     const pages = pageSamples(samples, atlas, frames, one.path);
     // `height` is that of the atlas' pages together.
     assert.deepEqual([pages.length * frames, atlas.width], [one.luma.length * pages.length, one.width]);
@@ -60,22 +60,22 @@ for (const one of readVectors("packages").units) {
 }
 
 test("a sample as Annex B has the same NAL units behind start codes", () => {
-  const [sample] = open(KEY).samples;
-  const stream = Buffer.from(annexB(sample!.data, KEY));
-  const expected = nalUnits(sample!.data, KEY).flatMap((unit) => [0, 0, 0, 1, ...unit]);
+  const [sample] = open(KEYFRAME).samples;
+  const stream = Buffer.from(annexB(sample!.data, KEYFRAME));
+  const expected = nalUnits(sample!.data, KEYFRAME).flatMap((unit) => [0, 0, 0, 1, ...unit]);
   assert.deepEqual([...stream], expected);
 });
 
 test("another number of pictures is refused", async () => {
-  const { atlas } = placeOf(await readTables(FOX), KEY);
-  const { samples } = open(KEY);
-  assert.throws(() => pageSamples([], atlas, 1, KEY), refused);
-  assert.throws(() => pageSamples([...samples, ...samples], atlas, 1, KEY), refused);
+  const { atlas } = placeOf(await readTables(FOX), KEYFRAME);
+  const { samples } = open(KEYFRAME);
+  assert.throws(() => pageSamples([], atlas, 1, KEYFRAME), refused);
+  assert.throws(() => pageSamples([...samples, ...samples], atlas, 1, KEYFRAME), refused);
 });
 
 test("a sample without parameter sets, or that is no IDR, is refused", async () => {
-  const { atlas, start, stop } = placeOf(await readTables(FOX), "state/L0/1.m4s");
-  const { samples } = open("state/L0/1.m4s");
+  const { atlas, start, stop } = placeOf(await readTables(FOX), "delta/L0/1.m4s");
+  const { samples } = open("delta/L0/1.m4s");
   assert.throws(() => pageSamples([...samples].reverse(), atlas, stop - start, "x"), refused);
   const unit = nalUnits(samples[0]!.data, "x").find((one) => (one[0]! & 31) === 5)!;
   assert.throws(() => codecOf(Uint8Array.of(0, 0, 0, 1, unit[0]!), "x"), refused);
@@ -123,7 +123,7 @@ test("every field that a fragment may have is read", () => {
 });
 
 test("segments that are built otherwise are refused", () => {
-  const whole = readBytes(`${FOX}/${KEY}`);
+  const whole = readBytes(`${FOX}/${KEYFRAME}`);
   const own = new DataView(whole.buffer).getUint32(0);
   const [uuid, fragment] = [whole.subarray(0, own), whole.subarray(own)];
   const other = whole.slice();
@@ -150,12 +150,12 @@ test("segments that are built otherwise are refused", () => {
 test("a damaged file is refused for a reason of the format, wherever it is damaged", async () => {
   const tables = await readTables(FOX);
   const table = tables.group(0);
-  const sidecar = readBytes(`${FOX}/key/T0/1.bin`);
+  const sidecar = readBytes(`${FOX}/keyframe/T0/1.bin`);
   const place = { group: 0, tier: 0, quality: 0 };
   const attempts: [Uint8Array, (data: Uint8Array) => void][] = [
-    [sidecar, (data) => readKeyTier(tables.root, table, place, data, readBytes(`${FOX}/${KEY}`))],
-    [readBytes(`${FOX}/${KEY}`), (data) => readKeyTier(tables.root, table, place, sidecar, data)],
-    [readBytes(`${FOX}/state/L0/1.m4s`), (data) => readStates(table, { segment: 0, place: 0, level: 0 }, data)],
+    [sidecar, (data) => readKeyframeTier(tables.root, table, place, data, readBytes(`${FOX}/${KEYFRAME}`))],
+    [readBytes(`${FOX}/${KEYFRAME}`), (data) => readKeyframeTier(tables.root, table, place, sidecar, data)],
+    [readBytes(`${FOX}/delta/L0/1.m4s`), (data) => readDeltas(table, { segment: 0, place: 0, level: 0 }, data)],
   ];
   let refusals = 0;
   for (const [data, read] of attempts) {

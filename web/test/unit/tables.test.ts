@@ -6,7 +6,7 @@ import { FormatError } from "../../src/format/errors.ts";
 import { MissingTableError } from "../../src/format/index.ts";
 import { Tables } from "../../src/format/package.ts";
 import { checkTable, inflate } from "../../src/format/parse.ts";
-import { groupPath, keyMediaPath, keySidecarPath, locate, pagePath, stateMediaPath } from "../../src/format/paths.ts";
+import { groupPath, keyframeMediaPath, keyframeSidecarPath, locate, pagePath, deltaMediaPath } from "../../src/format/paths.ts";
 import { group, page, root } from "../../src/generated/schema.ts";
 import { readBytes, readJson, readVectors } from "./files.ts";
 import { readTables } from "./walk.ts";
@@ -106,9 +106,9 @@ test("paths", () => {
   const paths: [string, string, number[]][] = [
     [pagePath(2, 7), "page", [2, 7]],
     [groupPath(1), "group", [1]],
-    [keySidecarPath(0, 12), "sidecar", [0, 12]],
-    [keyMediaPath(63, 1, 9_999_999), "key", [63, 1, 9_999_999]],
-    [stateMediaPath(10, 3), "state", [10, 3]],
+    [keyframeSidecarPath(0, 12), "sidecar", [0, 12]],
+    [keyframeMediaPath(63, 1, 9_999_999), "keyframe", [63, 1, 9_999_999]],
+    [deltaMediaPath(10, 3), "delta", [10, 3]],
   ];
   for (const [path, what, numbers] of paths) assert.deepEqual(locate(path), { what, numbers });
   const strange = [
@@ -117,11 +117,11 @@ test("paths", () => {
     "index/10/1.json",
     "index/1.json",
     "group/01.json.gz",
-    "key/T00/1.bin",
-    "key/T0/1.bin\n",
+    "keyframe/T00/1.bin",
+    "keyframe/T0/1.bin\n",
     "/group/1.json.gz",
-    "state/L100/1.m4s",
-    "state/P0/L0/1.m4s",
+    "delta/L100/1.m4s",
+    "delta/P0/L0/1.m4s",
   ];
   for (const path of [...strange, "airgs.json", "../group/1.json.gz"]) assert.equal(locate(path), null, path);
 });
@@ -138,7 +138,7 @@ for (const one of readVectors("packages").groups) {
     for (let tier = 0; tier < tiers; tier++) {
       for (let quality = 0; quality < qualities.length; quality++) {
         const expected = [one.sidecars[tier], one.pictures[tier][quality]].filter((path) => path !== null);
-        assert.deepEqual(tables.keyFiles(number, tier, quality), expected);
+        assert.deepEqual(tables.keyframeFiles(number, tier, quality), expected);
       }
     }
     const all = tables.segmentsOf(number);
@@ -150,7 +150,7 @@ for (const one of readVectors("packages").groups) {
       for (let frame = expected.start; frame < expected.stop; frame++) assert.equal(tables.segmentAt(frame), segment);
       levels.forEach((_, level) => {
         assert.deepEqual(
-          tables.stateFiles(segment, level),
+          tables.deltaFiles(segment, level),
           [expected.files[level]].flatMap((path) => path ?? []),
         );
       });
@@ -178,8 +178,8 @@ for (const one of readVectors("packages").startup) {
     await add(groupPath(number + 1));
     const { keeps } = tables.group(number);
     if (keeps) await add(groupPath(keeps));
-    files.push(...tables.keysOf(number, one.quality, one.tiers));
-    files.push(...tables.stateFiles(tables.segmentAt(one.frame), one.level));
+    files.push(...tables.keyframesOf(number, one.quality, one.tiers));
+    files.push(...tables.deltaFiles(tables.segmentAt(one.frame), one.level));
     assert.deepEqual(files, one.files);
   });
 }
@@ -187,12 +187,12 @@ for (const one of readVectors("packages").startup) {
 test("files that no table has are asked for in vain", async () => {
   const tables = await readTables("manifests/valid/one-gaussian");
   const strange = [
-    "key/T1/1.bin",
-    "key/T9/1.bin",
-    "key/T0/Q9/1.m4s",
-    "state/L0/1.m4s",
-    "state/L0/9.m4s",
-    "state/P1/L0/1.m4s",
+    "keyframe/T1/1.bin",
+    "keyframe/T9/1.bin",
+    "keyframe/T0/Q9/1.m4s",
+    "delta/L0/1.m4s",
+    "delta/L0/9.m4s",
+    "delta/P1/L0/1.m4s",
     "group/2.json.gz",
   ];
   for (const path of [...strange, "index/1/1.json", "index/9/1.json", "airgs.json", "manifest.mpd", "x"]) {
@@ -221,7 +221,7 @@ test("the segments of an unread page are guessed, and found once it is read", as
     assert.throws(() => index.groupAt("segments", wrong), RangeError);
 });
 
-test("a key with rows and no plane is refused", async () => {
+test("a keyframe with rows and no plane is refused", async () => {
   const tables = await readTables("tests/golden/fox");
   const table = structuredClone(tables.group(0));
   table.tiers[0]!.qualities[0]!.planes = [];

@@ -33,8 +33,8 @@ type Values = Record<"means" | "quaternions" | "log_scales" | "alpha" | "colours
 /** As much of the tables as the values of a case depend on. */
 function tables({ sh_degree, steps, factor, gain, colour_transform, grid }: Case): [Root, Group] {
   const ladder = { qualities: [{ factor }], levels: new Array(8).fill({ factor }) };
-  const root = { sh_degree, key_gain: gain, state_gain: gain, ...ladder };
-  const group = { key_steps: steps, state_steps: steps, colour_transform, grid };
+  const root = { sh_degree, keyframe_gain: gain, delta_gain: gain, ...ladder };
+  const group = { keyframe_steps: steps, delta_steps: steps, colour_transform, grid };
   return [root as unknown as Root, group as unknown as Group];
 }
 
@@ -121,8 +121,8 @@ function pictureOf(channels: unknown[][], centred = true): { atlas: Atlas; luma:
   return { atlas, luma, changes: { texels: Uint32Array.from(places), bases: Int32Array.from(bases) } };
 }
 
-for (const one of readVectors("keys").cases) {
-  test(`keys: ${one.name}`, () => {
+for (const one of readVectors("keyframes").cases) {
+  test(`keyframes: ${one.name}`, () => {
     const [root, group] = tables(one);
     const { atlas, luma, changes } = pictureOf(one.codes);
     const { rows } = atlas;
@@ -142,7 +142,7 @@ for (const one of readVectors("keys").cases) {
 /** Rows of numbers one after another. */
 const flat = (rows: unknown[]) => Float32Array.from(rows.flat() as number[]);
 
-for (const one of readVectors("states").cases) {
+for (const one of readVectors("deltas").cases) {
   const { means, quaternions, log_scales, alpha, colours, classes, depths } = one.canonical;
   const base: Gaussians = {
     means: flat(means),
@@ -160,7 +160,7 @@ for (const one of readVectors("states").cases) {
     depths: Uint8Array.from(runs(depths) as number[]),
     parts: [],
   };
-  test(`states: ${one.name}`, () => {
+  test(`deltas: ${one.name}`, () => {
     const [root, group] = tables(one);
     assert.deepEqual([...levelRows(canonical.depths, one.level)], runs(one.rows));
     const rising = one.slopes && pictureOf(one.slopes, false);
@@ -169,16 +169,16 @@ for (const one of readVectors("states").cases) {
       const { atlas, luma, changes } = pictureOf(codes);
       const table = { ...group, levels: new Array(8).fill(atlas) } as Group;
       const time = slopes ? (2 * t) / (one.frames.length - 1) - 1 : 0;
-      const state = { level: one.level, luma, bases: basesAfter(luma.length, [changes]), slopes, time };
-      near(shownGaussians(root, table, base, canonical, state), values, tolerance);
+      const delta = { level: one.level, luma, bases: basesAfter(luma.length, [changes]), slopes, time };
+      near(shownGaussians(root, table, base, canonical, delta), values, tolerance);
     }
   });
 }
 
 test("numbers that are not finite are refused", () => {
-  const [root, group] = tables(readVectors("keys").cases[0]);
-  group.key_steps.log_scales = 1e38;
-  const parts = [{ ...pictureOf(readVectors("keys").cases[0].codes), factor: 1, bases: null, difference: null }];
+  const [root, group] = tables(readVectors("keyframes").cases[0]);
+  group.keyframe_steps.log_scales = 1e38;
+  const parts = [{ ...pictureOf(readVectors("keyframes").cases[0].codes), factor: 1, bases: null, difference: null }];
   const rows = parts[0]!.atlas.rows;
   const still = { units: new Float32Array(rows), depths: new Uint8Array(rows), means: new Float32Array(3 * rows) };
   const canonical = { group: 0, quality: 0, tiers: 1, ...still, parts };

@@ -17,7 +17,7 @@ const DRAWN = packages[0]; // three groups of five segments
 const FAST = new Trace([0], [1e9], 3600);
 /** Slow at first, then fast: what is buffered by then is worth replacing. */
 const RISING = new Trace([0, 5], [3e5, 1e9], 3600);
-const KEYS = /^key/;
+const KEYFRAMES = /^keyframe/;
 
 class Watched extends SimulatedDownloader {
   cached = false;
@@ -39,7 +39,7 @@ class Watched extends SimulatedDownloader {
   /** Paths of the batches of a kind. */
   paths(kind?: string): string[] {
     const wanted = this.requests.filter((request) => !kind || request.kind === kind);
-    return wanted.flatMap(({ batch }) => [...batch.keys, ...batch.state, ...batch.tables]);
+    return wanted.flatMap(({ batch }) => [...batch.keyframes, ...batch.delta, ...batch.tables]);
   }
 }
 
@@ -72,7 +72,7 @@ class Viewer {
 const enqueued = (position: number) => (event: SessionEvent) =>
   event.type === "arrived" && event.arrival.request.position === position && event.arrival.request.kind !== "tables";
 
-test("a seek goes on with the tables and keys that are there", async () => {
+test("a seek goes on with the tables and keyframes that are there", async () => {
   const viewer = new Viewer();
   await viewer.watch("fixed:0", 0, enqueued(6));
   assert.equal(viewer.playout.last?.position, 5); // what came when it was stopped is not shown
@@ -82,7 +82,7 @@ test("a seek goes on with the tables and keys that are there", async () => {
   assert.equal(viewer.playout.slots[0].position, 8);
   assert.equal(viewer.playout.last?.position, 14);
   const later = viewer.downloader.requests.slice(before);
-  assert.equal(later[0].kind, "state"); // the second group was begun: its table and keys are there
+  assert.equal(later[0].kind, "delta"); // the second group was begun: its table and keyframes are there
   assert.ok(!later.some(({ batch }) => batch.tables.includes("airgs.json")));
   assert.ok(viewer.stores.downloads.length > read);
 });
@@ -170,8 +170,8 @@ test("an endless session plays loop after loop, its tables fetched once", async 
   assert.ok(viewer.playout.last?.position === 99);
   const tables = viewer.downloader.paths().filter((path) => path.startsWith("group/"));
   assert.deepEqual(tables.sort(), ["group/1.json.gz", "group/2.json.gz", "group/3.json.gz"]);
-  const keys = viewer.downloader.paths().filter((path) => KEYS.test(path));
-  assert.ok(keys.length > new Set(keys).size);
+  const keyframes = viewer.downloader.paths().filter((path) => KEYFRAMES.test(path));
+  assert.ok(keyframes.length > new Set(keyframes).size);
 });
 
 test("the end can be moved while it plays", async () => {

@@ -1,6 +1,6 @@
 // Reads a whole package as a player does, but for its pictures.
 import { FormatError } from "../../src/format/errors.ts";
-import { checkCount, readKeyTier, readStates } from "../../src/format/files.ts";
+import { checkCount, readKeyframeTier, readDeltas } from "../../src/format/files.ts";
 import { Tables } from "../../src/format/package.ts";
 import { groupPath } from "../../src/format/paths.ts";
 import { packetsOf, readSound } from "../../src/format/sound.ts";
@@ -33,17 +33,17 @@ async function tablesOf(files: Files): Promise<Tables> {
   return tables;
 }
 
-/** Reads the key tiers of a group in a quality, and what they say of every level. Returns how many files. */
-async function walkKeys(tables: Tables, files: Files, group: number, quality: number) {
+/** Reads the keyframe tiers of a group in a quality, and what they say of every level. Returns how many files. */
+async function walkKeyframes(tables: Tables, files: Files, group: number, quality: number) {
   const { root } = tables;
   const table = tables.group(group);
   const depths: number[] = [];
   let count = 0;
   for (let tier = 0; tier < root.tiers; tier++) {
-    const paths = tables.keyFiles(group, tier, quality);
+    const paths = tables.keyframeFiles(group, tier, quality);
     if (!paths.length) continue;
     const [sidecar, media = null] = await Promise.all(paths.map((path) => fetched(tables, files, path)));
-    depths.push(...readKeyTier(root, table, { group, tier, quality }, sidecar!, media).depths);
+    depths.push(...readKeyframeTier(root, table, { group, tier, quality }, sidecar!, media).depths);
     count += paths.length;
   }
   root.levels.forEach((_, level) => {
@@ -53,14 +53,14 @@ async function walkKeys(tables: Tables, files: Files, group: number, quality: nu
 }
 
 /** Reads the states of a group. Returns how many files. */
-async function walkStates(tables: Tables, files: Files, group: number): Promise<number> {
+async function walkDeltas(tables: Tables, files: Files, group: number): Promise<number> {
   const { start, stop } = tables.segmentsOf(group);
   let count = 0;
   for (let segment = start; segment < stop; segment++) {
     for (let level = 0; level < tables.root.levels.length; level++) {
-      for (const path of tables.stateFiles(segment, level)) {
+      for (const path of tables.deltaFiles(segment, level)) {
         const place = { segment, place: segment - start, level };
-        const states = readStates(tables.group(group), place, await fetched(tables, files, path));
+        const states = readDeltas(tables.group(group), place, await fetched(tables, files, path));
         for (let t = 0; t < states.frames; t++) states.bases.next(t);
         count++;
       }
@@ -82,9 +82,9 @@ export async function walk(files: Files): Promise<number> {
       count++;
     }
     for (let quality = 0; quality < root.qualities.length; quality++) {
-      count += await walkKeys(tables, files, group, quality);
+      count += await walkKeyframes(tables, files, group, quality);
     }
-    count += await walkStates(tables, files, group);
+    count += await walkDeltas(tables, files, group);
   }
   return count;
 }

@@ -3,7 +3,7 @@
 // of the last frames, and with a way back.
 //
 // A level has no more Gaussians than the one before it and no more rows that move, in every group: levels are the order
-// in which less is to do, whatever their bytes are. Key qualities make no difference to it.
+// in which less is to do, whatever their bytes are. Keyframe qualities make no difference to it.
 
 export type Cause = "decoder" | "display";
 
@@ -40,7 +40,7 @@ export class DropRule {
   /** A finer level was allowed, and has not been well for as long as it was waited for. */
   #onTrial = false;
 
-  /** `tiers`: how many key tiers each level shows. */
+  /** `tiers`: how many keyframe tiers each level shows. */
   constructor(private readonly tiers: readonly number[]) {}
 
   restart(): void {

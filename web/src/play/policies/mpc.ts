@@ -15,7 +15,7 @@ import {
   SWITCH_DB,
 } from "../../generated/constants.ts";
 import { type Decision, select } from "../ladder.ts";
-import { ConfigError, type Keys, NONE, type Offers, type SegmentOffer, sizesOf } from "../offers.ts";
+import { ConfigError, type Keyframes, NONE, type Offers, type SegmentOffer, sizesOf } from "../offers.ts";
 import {
   bufferS,
   type Download,
@@ -96,7 +96,7 @@ function horizon(state: PlayerState): Step[] {
   let total = 0;
   for (const [i, { offer, loop }] of state.ahead.entries()) {
     if (steps.length && total >= HORIZON_S) break;
-    const known = loop === state.ahead[0].loop ? state.decoded : NONE; // in a later loop, keys are fetched again
+    const known = loop === state.ahead[0].loop ? state.decoded : NONE; // in a later loop, keyframes are fetched again
     const sizes = i ? sizesAfter(offer, state.ahead[i - 1].offer, known) : new Float64Array(0); // the options have them
     const seconds = shownS(state, offer);
     steps.push({ seconds, sizes, quality: Float64Array.from(offer.rungs, ({ psnr }) => psnr) });
@@ -107,14 +107,14 @@ function horizon(state: PlayerState): Step[] {
 
 /** (P · R) bytes of rung r after rung p of the segment before, at place p R + r; (R) where that makes no difference.
  *
- * `known` are key tiers that are decoded by then; of the group that goes on, rung p alone says what is.
+ * `known` are keyframe tiers that are decoded by then; of the group that goes on, rung p alone says what is.
  */
-export function sizesAfter(offer: SegmentOffer, before: SegmentOffer, known: Keys): Float64Array {
+export function sizesAfter(offer: SegmentOffer, before: SegmentOffer, known: Keyframes): Float64Array {
   if (offer.startsGroup && offer.base === null) return sizesOf(offer, NONE);
   const others = offer.startsGroup ? known : NONE;
   const table = new Float64Array(before.rungs.length * offer.rungs.length);
-  for (const [p, { keys }] of before.rungs.entries()) {
-    const held = new Set(keys.map(({ number }) => number));
+  for (const [p, { keyframes }] of before.rungs.entries()) {
+    const held = new Set(keyframes.map(({ number }) => number));
     table.set(sizesOf(offer, { has: (number) => others.has(number) || held.has(number) }), p * offer.rungs.length);
   }
   return table;
@@ -190,7 +190,7 @@ export function wishedPolicy(wishes: { quality: string; policy: string }, { meas
   return measured ? wishes.policy : "fixed:0";
 }
 
-/** fixed:J (level J, finest keys) or fixed:RUNG, in the finest level offered. Throws ConfigError for other names. */
+/** fixed:J (level J, finest keyframes) or fixed:RUNG, in the finest level offered. Throws ConfigError for other names. */
 export function fixedPolicy(name: string, offers: Offers): Policy {
   const rung = fixedRung(name, offers);
   const choose: Policy["choose"] = ({ options }) => {

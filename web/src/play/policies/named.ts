@@ -13,7 +13,7 @@ const choosePaperNoCliff = (state: PlayerState): Decision => select(fullLadder(s
 
 /** Algorithm 1 as printed: C = B / R over the segment, no buffer, round trip or safety; undefined: the last level.
  *
- * Its levels are the rungs with the finest keys, whole group keys in the sizes.
+ * Its levels are the rungs with the finest keyframes, whole group keyframes in the sizes.
  */
 function choosePaperLiteral(state: PlayerState, beta = DEFAULT_BETA): Decision {
   const { rungs } = state.ahead[0].offer;

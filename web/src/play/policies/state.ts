@@ -1,7 +1,7 @@
 // What a policy is, what it knows, and the estimates that several policies share.
 import { BUFFER_SHARE, HALF_LIVES_S, SAFETY } from "../../generated/constants.ts";
 import { buildLadder, type Decision, type Option } from "../ladder.ts";
-import type { Keys, SegmentOffer } from "../offers.ts";
+import type { Keyframes, SegmentOffer } from "../offers.ts";
 
 /** A finished batch, as the throughput estimate sees it. */
 export interface Download {
@@ -14,8 +14,8 @@ export interface Download {
 export interface PlayerState {
   /** What the next segments offer, with their loops over the sequence: as many as the policy looks at, one at least. */
   ahead: readonly { offer: SegmentOffer; loop: number }[];
-  /** Key tiers that are decoded in the loop of the next segment. */
-  decoded: Keys;
+  /** Keyframe tiers that are decoded in the loop of the next segment. */
+  decoded: Keyframes;
   options: readonly Option[];
   nowS: number;
   /** When it must arrive to be shown in time; in the past when the player waits. */
@@ -85,10 +85,10 @@ export const fullLadder = (state: PlayerState): Option[] =>
 export function beforeCliff(state: PlayerState): PlayerState {
   const { rungs } = state.ahead[0].offer;
   const finest = rungs.filter(({ quality }) => quality === 0);
-  const levels = finest.map(({ level, stateBytes, psnr, saved }) => {
-    return { index: level, sizeBytes: stateBytes, quality: psnr, saved };
+  const levels = finest.map(({ level, deltaBytes, psnr, saved }) => {
+    return { index: level, sizeBytes: deltaBytes, quality: psnr, saved };
   });
   const least = buildLadder(levels).at(-1)?.sizeBytes ?? 0;
-  const options = state.options.filter(({ index }) => rungs[index].stateBytes >= least);
+  const options = state.options.filter(({ index }) => rungs[index].deltaBytes >= least);
   return options.length ? { ...state, options } : state;
 }
