@@ -35,7 +35,7 @@ from airgs_codec.analysis.rows import Restored, outlook, restore_rows
 from airgs_codec.analysis.grouping import closed_groups, plan_groups
 from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.analysis.region import region_around
-from airgs_codec.encoder.settings import APART, EncodeSettings, KEPT, LevelSettings, as_in_paper, as_preview
+from airgs_codec.encoder.settings import INTER, INTRA, EncodeSettings, LevelSettings, as_in_paper, as_preview
 from airgs_codec.encoder.survey import Frames, Survey
 from airgs_codec.encoder.layout import GroupLayout, lay_out
 from airgs_codec.encoder.views import Views, choose_views

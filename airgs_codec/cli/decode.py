@@ -19,7 +19,7 @@ from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.region import background_of, misread
 from airgs_codec.places.whole import atomic_path
-from airgs_codec.scene.formats.table import KEYFRAMES, Numbered, choose_target, write_frames
+from airgs_codec.scene.formats.table import KEYS, Numbered, choose_target, write_frames
 
 ROWS_NAME = "rows.npz"  # an array for each frame, named by its number
 
@@ -31,7 +31,7 @@ class Decode:
         "folder for the frames, 000000.ply and on, or a file whose name ends in a format", alias="-o", metavar="PLACE"
     )
     format: str | None = setting(
-        None, "form of the files", choices=KEYFRAMES, metavar="FORMAT", default="what the output's name ends in, or ply"
+        None, "form of the files", choices=KEYS, metavar="FORMAT", default="what the output's name ends in, or ply"
     )
     level: str = setting("L0", "delta level: L0, L1, … or its number")
     keyframe_quality: str = setting("Q0", "keyframe quality: Q0, Q1, … or its number")

@@ -22,8 +22,8 @@ from airgs_codec.coding import kernels
 from airgs_codec.coding.motion import motion_units
 from airgs_codec.coding.sidecar import KeyframeSidecar, grid_means
 from airgs_codec.errors import FormatError
-from airgs_codec.package.layout import COLOUR, KEYFRAME, DELTA, Layout
-from airgs_codec.package.tables import TRANSFORM_UNITS, Grid, KeyframeSteps, DeltaSteps
+from airgs_codec.package.layout import COLOUR, DELTA, KEYFRAME, Layout
+from airgs_codec.package.tables import TRANSFORM_UNITS, DeltaSteps, Grid, KeyframeSteps
 from airgs_codec.scene.gaussians import Gaussians, conjugate, multiply, sigmoid, to_rotation_vector
 
 _MEANS, _SCALES, _ROTATION = (DELTA.slice(name) for name in ("means", "log_scales", "quaternions"))
@@ -91,7 +91,7 @@ ATTRIBUTES: dict[str, tuple[Make, Put]] = {
 def blank_space(
     means: NDArray[np.float64], units: NDArray[np.float32], log_scale: float, transform: NDArray[np.float64]
 ) -> Canonical:
-    """Rows at `means` (N, 3) of one size, without rotation, opacity or colour: what keyframe channels are differences to."""
+    """Return rows at `means` (N, 3) of one size, without rotation, opacity or colour: the base of keyframe channels."""
     row = [np.array([1, 0, 0, 0]), np.full(3, log_scale), np.zeros(()), np.zeros(len(transform))]
     quaternions, sizes, opacity, colour = (
         np.broadcast_to(value.astype(np.float32), (len(means), *value.shape)) for value in row

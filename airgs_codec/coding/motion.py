@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.package.layout import COLOUR, DELTA
-from airgs_codec.package.tables import BLOCK, LEAST_CLASS, MOST_CLASS, DELTA_ATTRIBUTES, KeyframeSteps, DeltaSteps
+from airgs_codec.package.tables import BLOCK, DELTA_ATTRIBUTES, LEAST_CLASS, MOST_CLASS, DeltaSteps, KeyframeSteps
 from airgs_codec.scene.gaussians import Gaussians
 
 LEAVES = 1e4  # steps

@@ -66,7 +66,7 @@ def coarse_codes(codes: NDArray[np.uint64], cells: NDArray[np.int16], grid: Grid
 def grid_means(
     codes: NDArray[np.uint64], classes: NDArray[np.int16], wider: NDArray[np.int16], grid: Grid, coarser: int = 0
 ) -> NDArray[np.float64]:
-    """(N,) Morton codes of cells as fine or finer -> (N, 3) middles of the cells of a keyframe quality in world units."""
+    """Return (N, 3) middles, world units, of the cells of a keyframe quality with (N,) Morton codes of finer cells."""
     cells = classes - wider
     half = np.exp2(cell_bits(cells, grid, coarser))[:, None] / 2
     codes = coarse_codes(codes, cells, grid, coarser)
@@ -155,7 +155,7 @@ def unpack_keyframe_sidecar(
 
 
 def detail_columns(sidecar: KeyframeSidecar, grid: Grid, coarser: int, coarsest: int) -> list[Column]:
-    """Return what a keyframe quality adds to the codes that `pack_keyframe_sidecar` writes; the coarsest adds nothing."""
+    """Return what a keyframe quality adds to the codes of `pack_keyframe_sidecar`; the coarsest adds nothing."""
     if coarser == coarsest:
         return []
     low = (3 * cell_bits(sidecar.cells, grid, coarser)).astype(np.uint64)

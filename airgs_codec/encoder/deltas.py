@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import GREY, extract, fit_centre, line_times, make_atlas, to_codes
-from airgs_codec.coding.channels import FURTHEST, LEAST_DRAWN, Canonical, hold_undrawn, delta_channels
+from airgs_codec.coding.channels import FURTHEST, LEAST_DRAWN, Canonical, delta_channels, hold_undrawn
 from airgs_codec.coding.escapes import Escapes
 from airgs_codec.encoder.layout import GroupLayout, assign_depths, rank_updates
 from airgs_codec.encoder.omit import DeltaOmissions, DeltaValues, note_static
@@ -35,7 +35,7 @@ from airgs_codec.encoder.streams import (
     encode_checked,
     encode_parallel,
 )
-from airgs_codec.media.h264 import DELTA_QP, ClosedGop, CodecSettings, CodedGop, qp_step, delta_codec
+from airgs_codec.media.h264 import DELTA_QP, ClosedGop, CodecSettings, CodedGop, delta_codec, qp_step
 from airgs_codec.package.layout import DELTA
 from airgs_codec.package.tables import STATIC, Atlas, LeftOut
 from airgs_codec.scene.gaussians import Gaussians

@@ -133,7 +133,7 @@ def _code_keyframe(
 
 
 def _coded(layout: GroupLayout, plan: Plan, frames: Frames, base: Sequence[Canonical]) -> CodedKeyframe:
-    """Code a keyframe, by its difference to the canonical spaces `base`, of each keyframe quality, where there are some."""
+    """Code a keyframe, by its difference to `base`, the canonical space in each quality, where there is one."""
     settings = plan.settings
     keyframes = code_keyframes(layout, settings, base)
     pictures = encode_keyframes(layout, keyframes, Clock.of(frames.sequence.fps), settings)

@@ -17,9 +17,9 @@ from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import centre_codes, choose_layout, fit_atlas, from_codes, read_codes, to_codes
 from airgs_codec.coding.channels import (
     Canonical,
+    delta_channels,
     dequantise_keyframe,
     join_canonical,
-    delta_channels,
 )
 from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_some
 from airgs_codec.coding.sidecar import KeyframeSidecar, coarse_codes, detail_columns, pack_keyframe_sidecar, read_detail
@@ -36,7 +36,7 @@ from airgs_codec.encoder.streams import (
     encode_parallel,
 )
 from airgs_codec.media.h264 import KEYFRAME_QP, ClosedGop, keyframe_codec, qp_step
-from airgs_codec.package.layout import KEYFRAME, DELTA
+from airgs_codec.package.layout import DELTA, KEYFRAME
 from airgs_codec.package.tables import Atlas, LeftOut
 
 PROMISED = 0.5 + 0.5 / qp_step(

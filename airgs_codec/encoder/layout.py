@@ -23,8 +23,8 @@ from airgs_codec.coding.sidecar import KeyframeSidecar, fit_grid, grid_codes
 from airgs_codec.encoder.settings import DEFAULT_TIERS, EncodeSettings
 from airgs_codec.encoder.survey import Frames, Span, Survey
 from airgs_codec.encoder.views import Pictures, Views
-from airgs_codec.package.layout import KEYFRAME, DELTA, Layout
-from airgs_codec.package.tables import STATIC, Grid, KeyframeSteps, DeltaSteps, difference_steps
+from airgs_codec.package.layout import DELTA, KEYFRAME, Layout
+from airgs_codec.package.tables import STATIC, DeltaSteps, Grid, KeyframeSteps, difference_steps
 from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.frames import Repaired
 from airgs_codec.scene.gaussians import Gaussians, mean_frame

@@ -21,8 +21,8 @@ from airgs_codec.encoder.layout import GroupLayout
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import Frames, Survey
 from airgs_codec.media.metrics import Picture, psnr
-from airgs_codec.package.layout import KEYFRAME, DELTA
-from airgs_codec.package.tables import STATIC, LeftOut, DeltaSteps
+from airgs_codec.package.layout import DELTA, KEYFRAME
+from airgs_codec.package.tables import STATIC, DeltaSteps, LeftOut
 from airgs_codec.render.compare import Source, compare, draw_frames, draw_once, draw_still
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 

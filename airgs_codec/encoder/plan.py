@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from airgs_codec._arguments import brief
 from airgs_codec.analysis.grouping import closed_groups
 from airgs_codec.encoder.layout import split_segments
-from airgs_codec.encoder.settings import APART, EncodeSettings
+from airgs_codec.encoder.settings import INTRA, EncodeSettings
 from airgs_codec.encoder.survey import Frames, Span
 from airgs_codec.encoder.views import Views
 from airgs_codec.errors import ConfigError, FormatError
@@ -66,7 +66,7 @@ class Plan:
             if (
                 number == 0
                 or alone
-                or self.settings.keyframes == APART
+                or self.settings.keyframes == INTRA
                 or (self.run and number - begins[-1] >= self.run)
                 or start in sequence.breaks
                 or sequence.count(start) != sequence.count(start - 1)

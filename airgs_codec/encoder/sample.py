@@ -28,9 +28,9 @@ from airgs_codec.coding.atlas import (
 from airgs_codec.coding.channels import (
     Canonical,
     colour_transform,
+    delta_channels,
     dequantise_keyframe,
     keyframe_channels,
-    delta_channels,
 )
 from airgs_codec.coding.motion import StepSettings, channel_weights, withheld_error
 from airgs_codec.coding.rangecoder import encode_columns
@@ -38,12 +38,12 @@ from airgs_codec.coding.sidecar import KeyframeSidecar, fit_grid, grid_codes, pa
 from airgs_codec.media.h264 import (
     ClosedGop,
     CodecSettings,
+    delta_codec,
     encode_gop,
     keyframe_codec,
     qp_step,
-    delta_codec,
 )
-from airgs_codec.package.layout import KEYFRAME, DELTA
+from airgs_codec.package.layout import DELTA, KEYFRAME
 from airgs_codec.scene.gaussians import Gaussians
 
 Weights = NDArray[np.float64]

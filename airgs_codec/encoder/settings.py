@@ -14,7 +14,7 @@ from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
 from airgs_codec.analysis.rows import AUTO, ROWS
 from airgs_codec.coding.motion import StepSettings
 from airgs_codec.errors import ConfigError
-from airgs_codec.media.h264 import DEFAULT_PRESET, KEYFRAME_QP, PRESETS, DELTA_QP
+from airgs_codec.media.h264 import DEFAULT_PRESET, DELTA_QP, KEYFRAME_QP, PRESETS
 from airgs_codec.package.parse import fault_of, read_region
 from airgs_codec.package.tables import GRID_BITS, MAX_CHOICES, Region, World
 from airgs_codec.scene.beside import MEASURES
@@ -68,8 +68,8 @@ PAPER_LEVELS = tuple(LevelSettings(share / 10) for share in range(11))  # the la
 QUALITY_FACTORS = {"low": 1.6, "medium": 1.0, "high": 0.6}
 UPDATE_RANKS = ("error", "usage", "hits")
 CELL_GROWTH = 0.75  # cells of positions grow with this power of the keyframe factor: ever fewer rows are updated
-KEYFRAMES = ("kept", "apart")
-KEPT, APART = KEYFRAMES
+KEYFRAMES = ("inter", "intra")
+INTER, INTRA = KEYFRAMES
 DEFAULT_TIERS = (0.8, 0.2)  # core, rest
 CALIBRATIONS = ("ladder", "steps", "none")
 
@@ -97,7 +97,7 @@ class EncodeSettings:
     levels: tuple[LevelSettings, ...] = setting(
         DEFAULT_LEVELS,
         "for each level the percentage of the updates withheld and a factor on the steps; percentages (as text, shares "
-        "of 0 to 1 here) ascend; beside them stand the number of keyframe tiers, descending, and the keyframe quality, ascending",
+        "of 0 to 1 here) ascend, then the number of keyframe tiers, descending, and the keyframe quality, ascending",
         read=read_levels,
         metavar="PRUNED:FACTOR,…",
         default=",".join(level.words for level in DEFAULT_LEVELS),
@@ -127,9 +127,9 @@ class EncodeSettings:
         choices=ROWS,
     )
     keyframes: str = setting(
-        KEPT,
-        "keyframes of groups: what differs from an earlier group, where that is smaller (kept), or every group is coded by "
-        "itself (apart)",
+        INTER,
+        "how the keyframe of a group is coded: by its difference to that of an earlier group where that is smaller "
+        "(inter), or always by itself (intra)",
         choices=KEYFRAMES,
     )
     margin: float | None = setting(
@@ -152,7 +152,7 @@ class EncodeSettings:
     )
     usage: str = setting(
         "importance",
-        "what ranks Gaussians for the keyframe tiers: the largest blending weight alpha T (max), the sum of these weights "
+        "what ranks Gaussians for keyframe tiers: the largest blending weight alpha T (max), the sum of these weights "
         "(sum), the number of pixels blended (hits, literally as in the paper), or max x sum x the error of leaving "
         "the Gaussian out (importance)",
         choices=MEASURES,
@@ -293,7 +293,7 @@ class EncodeSettings:
 
 
 def as_in_paper(settings: EncodeSettings) -> EncodeSettings:
-    """The paper's levels: updates ranked by usage frequency alone, 0 to 100 % of them pruned, equal steps, one keyframe."""
+    """Return the paper's levels: updates ranked by usage frequency, 0 to 100 % pruned, equal steps, one keyframe."""
     return replace(
         settings,
         calibrate="none",
@@ -303,7 +303,7 @@ def as_in_paper(settings: EncodeSettings) -> EncodeSettings:
         usage="hits",
         update_rank="hits",
         keep_all=True,
-        keyframes=APART,
+        keyframes=INTRA,
     )
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.analysis.importance import pooled_error
 from airgs_codec.analysis.sensitivity import CODING_VARIANCE
-from airgs_codec.coding.channels import keyframe_channels, delta_channels
+from airgs_codec.coding.channels import delta_channels, keyframe_channels
 from airgs_codec.coding.kernels import row_chunks
 from airgs_codec.coding.motion import (
     LEAVES,
@@ -36,7 +36,7 @@ from airgs_codec.encoder.views import Views
 from airgs_codec.errors import SceneError
 from airgs_codec.media.metrics import Picture
 from airgs_codec.package.layout import DELTA
-from airgs_codec.package.tables import KEYFRAME_ATTRIBUTES, DELTA_ATTRIBUTES
+from airgs_codec.package.tables import DELTA_ATTRIBUTES, KEYFRAME_ATTRIBUTES
 from airgs_codec.render.compare import compare, draw_frames, draw_once
 from airgs_codec.scene.frames import turn_least
 from airgs_codec.scene.gaussians import Gaussians, mix_rows
@@ -206,7 +206,7 @@ def choose_levels(
 
 
 def keyframe_factors() -> tuple[float, ...]:
-    """Factors on the keyframe steps: of each keyframe quality the geometric mean of its levels' factors, to four digits."""
+    """Return the factor of each keyframe quality: the geometric mean of its levels' factors, to four digits."""
     qualities = sorted({quality for _, quality in LEVELS})
     means = [np.exp(np.mean([np.log(f) for f, q in LEVELS if q == quality])) for quality in qualities]
     return tuple(float(f"{mean:.4g}") for mean in means)

@@ -15,21 +15,21 @@ from airgs_codec.encoder.layout import GroupLayout
 from airgs_codec.encoder.plan import Plan
 from airgs_codec.encoder.streams import Clock, ErrorModel, Representation, with_bounds
 from airgs_codec.encoder.views import CHECKED
-from airgs_codec.media.h264 import KEYFRAME_QP, DELTA_QP, library_versions, qp_step
+from airgs_codec.media.h264 import DELTA_QP, KEYFRAME_QP, library_versions, qp_step
 from airgs_codec.media.movie import SoundTrack
 from airgs_codec.media.mp4 import init_segment, sound_segment
 from airgs_codec.package import tables
 from airgs_codec.package.layout import (
+    DELTA,
     INIT_NAME,
     KEYFRAME,
     POSTER_NAME,
     SOUND_INIT_NAME,
-    DELTA,
     Layout,
+    delta_media_path,
     keyframe_media_path,
     keyframe_sidecar_path,
     sound_path,
-    delta_media_path,
 )
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.mpd import largest_picture

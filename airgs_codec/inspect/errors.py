@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from airgs_codec._arguments import argument
 from airgs_codec.analysis.rows import AUTO, restore_rows
 from airgs_codec.coding.atlas import scale_codes
-from airgs_codec.coding.channels import LEAST_DRAWN, Canonical, frame_channels, keyframe_channels, delta_channels
+from airgs_codec.coding.channels import LEAST_DRAWN, Canonical, delta_channels, frame_channels, keyframe_channels
 from airgs_codec.decoder.decode import (
     decode_canonical,
     decode_keyframe,

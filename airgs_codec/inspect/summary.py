@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from airgs_codec._report import BLUE, GREY, Form, Picture, Table
 from airgs_codec.media.metrics import psnr
 from airgs_codec.media.movie import LAYOUTS
-from airgs_codec.package.layout import KEYFRAME, DELTA, Layout
+from airgs_codec.package.layout import DELTA, KEYFRAME, Layout
 from airgs_codec.package.manifest import Manifest, quality_of, rungs_of
 from airgs_codec.package.region import RegionSummary, world_words
 from airgs_codec.package.tables import Atlas, LeftOut, RungQuality
@@ -211,7 +211,7 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
         "",
         _table(groups, GROUPS).to_text(),
         "",
-        _table([key for key in s["keys"] if key["gaussians"][1]], KEYS).to_text(),  # others have no files
+        _table([key for key in s["keys"] if key["gaussians"][1]], KEYFRAMES).to_text(),  # others have no files
         "",
         "levels, without keyframes:",
         _table(s["levels"], LEVELS).to_text(),

@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.package.tables import Group, KeyframeSteps, DeltaSteps
+from airgs_codec.package.tables import DeltaSteps, Group, KeyframeSteps
 
 JSON_NAME = "airgs.json"
 MPD_NAME = "manifest.mpd"
@@ -168,5 +168,5 @@ KEYFRAME, DELTA = Layout("keyframe", _RUNS[1:]), Layout("delta", _RUNS)  # canon
 
 
 def keyframe_layout(group: Group) -> Layout:
-    """The channels of the keyframe pictures of a group: those of a delta where they are differences to another group."""
+    """Return the channels of the keyframe pictures of a group: those of a delta where it is coded against a base."""
     return KEYFRAME if group.keeps is None else DELTA

@@ -23,7 +23,7 @@ import numpy as np
 
 from airgs_codec.errors import FormatError, SceneError
 from airgs_codec.package import tables
-from airgs_codec.package.layout import JSON_NAME, DELTA, Layout, group_path, keyframe_layout
+from airgs_codec.package.layout import DELTA, JSON_NAME, Layout, group_path, keyframe_layout
 from airgs_codec.package.tables import Atlas, Entry, FileEntry, Group, Header, Region, Root, Segment, Spans
 from airgs_codec.places.place import got_words
 

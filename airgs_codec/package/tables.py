@@ -166,7 +166,7 @@ class Views:
 
 @dataclass(frozen=True, slots=True)
 class KeyframeQuality:
-    """A quality of the keyframe: steps multiplied by `factor`, the sides of the cells of canonical means by 2^coarser."""
+    """A keyframe quality: steps multiplied by `factor`, the sides of the cells of canonical means by 2^coarser."""
 
     id: str
     factor: Factor
@@ -424,7 +424,7 @@ class Header:
         return _index_of("level", choice, [level.id for level in self.levels])
 
     def quality_index(self, choice: str | int) -> int:
-        """Index of a keyframe quality given by its id ("Q1") or its index (1 or "1"). Raises ConfigError for any other."""
+        """Return the index of a keyframe quality given by id or index ("Q1", 1 or "1"). Raises ConfigError."""
         return _index_of("keyframe_quality", choice, [quality.id for quality in self.qualities])
 
 

@@ -130,13 +130,13 @@ class _Programme:
         return k * self.width + self.rungs + of * len(self._column) + self._column[keyframe]
 
     def _keyframes(self, k: int) -> Iterator[tuple[int, int, _Keyframe]]:
-        """Yield all keyframes that a slot may need: 0 for its group or 1 for its base, the group, and (quality, tier)."""
+        """Yield all keyframes that a slot may need: 0 for its group, 1 for its base; the group; (quality, tier)."""
         for of, group in enumerate(self._groups[k]):
             if group is not None:
                 yield from ((of, group, key) for key in self._column)
 
     def _before(self, k: int, of: int, keyframe: _Keyframe) -> int | None:
-        """Return the column of the same keyframe in the last slot before k that may need it; None if no earlier one does."""
+        """Return the column of the same keyframe in the last slot before k that may need it, None if none does."""
         if of == 0:
             return self._keyframe(k - 1, of, keyframe) if k and not self._offers[k].starts_group else None
         group = self._groups[k][of]
@@ -148,7 +148,7 @@ class _Programme:
         return None
 
     def rows(self, k: int) -> Iterator[Row]:
-        """Yield the constraints of slot k: one rung with its keyframes, whose bytes follow its release and slot k - 1."""
+        """Yield the constraints of slot k: one rung with its keyframes, downloaded after its release and slot k - 1."""
         slot, first, carried = self._horizon.slots[k], k * self.width, (k + 1) * self.width - 1
         yield [(first + rung, 1.0) for rung in range(self.rungs)], 1.0, 1.0
         users: dict[Keyframe, Terms] = defaultdict(list)  # minus the share of every rung that needs a keyframe

@@ -1,4 +1,4 @@
-"""What a player asks for and what comes of it: tables, decoded keyframes, and what is learned of the link on the way."""
+"""What a player asks for and gets: tables, decoded keyframes, and the throughput measured on the way."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class Fetcher:
         """Drop what is known of groups before a position, whose offer is given."""
         self.tables.forget(before)
         there, loop = (before.base, before.group), self.loop(position)
-        self._keys[loop] = {key for key in self.decoded(loop) if key[0] in there or key[0] > before.group}
+        self._keyframes[loop] = {key for key in self.decoded(loop) if key[0] in there or key[0] > before.group}
 
     def loop(self, position: int) -> int:
         return self.offers.place(position)[0]

@@ -116,7 +116,7 @@ class SessionLog:
     def of(
         events: Iterable[Event], offers: Offers, policy: str, settings: SessionSettings, link: Link | None = None
     ) -> SessionLog:
-        """Fold events into a log. The delta of a replaced rung counts as wasted; its keyframes do not, they stay decoded."""
+        """Fold events into a log. Deltas of a replaced rung are wasted; its keyframes are not: they stay decoded."""
         arrived: list[Arrived] = []
         shown: list[Shown] = []
         lost: list[str] = []

@@ -90,7 +90,7 @@ class SegmentOffer:
         return tuple(Option(rung.level, rung.delta_bytes, rung.psnr, rung.saved) for rung in finest)
 
     def sizes(self, decoded: Keyframes) -> list[int]:
-        """Return (R,) wire bytes of the delta and of keyframes not yet decoded; OVER_BUDGET if the rung is not allowed."""
+        """Return (R,) wire bytes of deltas and keyframes not yet decoded; OVER_BUDGET if the rung is not allowed."""
         return [
             rung.delta_bytes + sum(offer.bytes for offer in rung.keyframes if offer.keyframe not in decoded)
             if rung.allowed
@@ -188,7 +188,7 @@ class Offers:
             for j, level in enumerate(found.levels):
                 tiers = m.levels[j].tiers
                 rows = sum(counts[:tiers])
-                needed = (*sound, *(key for pair in keys[:tiers] for key in pair))
+                needed = (*sound, *(one for pair in keyframes[:tiers] for one in pair))
                 psnr = float(level.psnr[q]) if level.psnr else 0.0
                 delta_e = float(level.delta_e[q]) if level.delta_e else np.nan
                 allowed = budget is None or rows <= budget

@@ -143,7 +143,7 @@ class Player:
         batch = replace(f.missing(position, rung), tables=ahead)
         if not batch.files:  # nothing moves: the canonical space is decoded
             return True
-        kind = BatchKind.GROUP if batch.keyframes else BatchKind.STATE
+        kind = BatchKind.GROUP if batch.keyframes else BatchKind.DELTA
         request = Request(kind, position, rung, batch, f.sent_s(state.request_latency_s), state.request_latency_s)
         size = next(o.size_bytes for o in state.options if o.index == rung)
         give_up = f.give_up(state.deadline_s, size, min(o.size_bytes for o in state.options))

@@ -92,7 +92,7 @@ def levels(*words):
 
 
 PAPER = {"levels": tuple(faces.LevelSettings(i / 10) for i in range(11)), "tiers": (1.0,), "keyframe_factors": (1.0,)}
-PAPER |= {"calibrate": "none", "usage": "hits", "update_rank": "hits", "keep_all": True, "keys": "apart"}
+PAPER |= {"calibrate": "none", "usage": "hits", "update_rank": "hits", "keep_all": True, "keyframes": "intra"}
 QUICK = {"levels": levels((0.4, 1, 0), (0.75, 2, 1)), "preset": "superfast", "calibrate": "none"}
 QUICK |= {"decide_pictures": 8, "measure_pictures": 8}
 ASKED = {

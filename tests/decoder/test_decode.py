@@ -130,7 +130,7 @@ def test_the_goldens_decode_to_the_recorded_codes_with_few_modules_and_no_librar
     ("room", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (2, 0, 0), (3, 0, 0), (1, 0, 0)], [(0, 0), (0, 1), (1, 0), (0, 0)]),
 ])  # fmt: skip
 def test_a_frame_is_that_of_a_fresh_package_whatever_was_decoded_before(monkeypatch, case, asked, segments):
-    """`asked`: frame, level and keyframe quality. Frames may be written to, and escapes are read as seldom as can be."""
+    """`asked`: frame, level and keyframe quality. Frames may be written to, escapes are read once."""
 
     def shown(package, frame, level, quality):
         return decode(package, frame % package.manifest.frames, level=level, keyframe_quality=quality)

@@ -1,4 +1,4 @@
-"""Hundreds of frames, any level at any segment over any keyframe tiers, seeks and lost files: the bits of a fresh decode."""
+"""Hundreds of frames, any level over any keyframe tiers, seeks and lost files: the bits of a fresh decode."""
 
 import random
 import shutil

@@ -7,7 +7,7 @@ import pytest
 
 from airgs_codec.encoder import live as module
 from tests import faces
-from tests.faces import APART, EncodeSettings, SceneError, follow, open_package, validate
+from tests.faces import INTRA, EncodeSettings, SceneError, follow, open_package, validate
 from tests.support.packages import SEEN, TWO_LEVELS
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 
@@ -60,12 +60,12 @@ def test_groups_are_published_as_their_frames_appear(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"scene", "out"}
 
 
-@pytest.mark.parametrize("keyframes", [faces.KEPT, APART])
+@pytest.mark.parametrize("keyframes", [faces.INTER, INTRA])
 def test_with_the_plan_of_the_whole_it_holds_what_encoding_at_once_does(tmp_path, keyframes):
     scene = write_sequence(tmp_path / "scene", FRAMES)
     settings = replace(SETTINGS, keyframes=keyframes)
     once = faces.encode(scene, tmp_path / "once", settings)
-    assert [group.keeps for group in once.manifest.groups] == ([None, 1, 1] if keyframes == faces.KEPT else [None] * 3)
+    assert [group.keeps for group in once.manifest.groups] == ([None, 1, 1] if keyframes == faces.INTER else [None] * 3)
     _, grown = followed(tmp_path, FRAMES, settings, plan=once.plan)
     for path in (path for group in range(3) for path in once.manifest.group_files(group)):
         assert once.manifest.entry(path) == grown.manifest.entry(path)

@@ -24,7 +24,7 @@ def test_runs_have_eight_groups_at_most_and_one_begins_where_gaussians_are_other
         assert plan.begins == begins and len(plan.groups) == len(frames)
         for run in plan.runs(sequence):  # a keyframe is chosen for what comes in its run
             assert all(frames.spans[-1][1] == run[-1].stop for frames in run)
-    apart = decide(GaussianSequence.from_arrays(STILL[:3]), replace(SETTINGS, keyframes=faces.APART))
+    apart = decide(GaussianSequence.from_arrays(STILL[:3]), replace(SETTINGS, keyframes=faces.INTRA))
     assert apart.begins == (0, 1, 2)
 
 

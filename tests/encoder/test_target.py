@@ -131,7 +131,7 @@ VIEWS, SEED = 10, 1000  # of each frame, each seen once, that no decision saw
 
 @pytest.fixture(scope="module")
 def ladder(tmp_path_factory):
-    """Bytes, claimed PSNR and PSNR over all frames from other views, of each level with the keyframes that it corrects."""
+    """Bytes, claimed PSNR and PSNR over all frames from other views, of each level with its keyframes."""
     folder = tmp_path_factory.mktemp("temporal")
     sequence = open_sequence(write_temporal(folder / "clip", 1500))
     settings = EncodeSettings(preset="veryfast", threads=2, measure_pictures=32)

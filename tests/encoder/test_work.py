@@ -110,7 +110,7 @@ def test_an_object_store_holds_the_work(scene, expected, bucket, tmp_path, done)
 def test_one_frame_that_changes_is_the_only_run_that_is_made_again(tmp_path, done):
     frames = moving_frames(120, 8)
     folder = write_sequence(tmp_path / "scene", frames)
-    settings = replace(SETTINGS, calibrate="none", keyframes="apart")
+    settings = replace(SETTINGS, calibrate="none", keyframes="intra")
     for again in ([[0], [1]], [[1]]):
         done.clear()
         encode(folder, tmp_path / "out", settings, work=tmp_path / "work")

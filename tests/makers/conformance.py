@@ -18,7 +18,7 @@ import numpy as np
 
 from airgs_codec.encoder.tables import add_sound
 from tests import faces
-from tests.faces import KEPT, Folder, Gaussians, Manifest, Package, Place, open_package, write_tables
+from tests.faces import INTER, Folder, Gaussians, Manifest, Package, Place, open_package, write_tables
 from tests.makers.golden import COARSE, WHOLE, encode_bare
 from tests.support.chirps import write_wav
 from tests.support.paths import VALID
@@ -46,7 +46,7 @@ def drifting(count: int, length: int) -> list[Gaussians]:
 BALL = faces.Region("file", 32, 24, 50.0, 0.01, 5.0, [Place([0.0, 0.0, -3.0], [0.0, 0.0, 0.0], [0.0, -1.0, 0.0], 0.2)])
 
 ONE_KEYFRAME = replace(WHOLE, keyframe_factors=(1.0,))
-KEEPING = replace(WHOLE, keyframes=KEPT, group_frames=2, keep_all=True, region=BALL, measure_pictures=2)
+KEEPING = replace(WHOLE, keyframes=INTER, group_frames=2, keep_all=True, region=BALL, measure_pictures=2)
 PACKAGES = {
     "moving": (frames(64, 0, 4), COARSE),
     "kept": (room_frames(60, 6), KEEPING),

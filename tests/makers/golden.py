@@ -17,13 +17,13 @@ from pathlib import Path
 import numpy as np
 
 from tests import faces
-from tests.faces import APART, KEPT, EncodeSettings, Folder, LevelSettings, StepSettings, open_package, open_sequence
+from tests.faces import INTER, INTRA, EncodeSettings, Folder, LevelSettings, StepSettings, open_package, open_sequence
 from tests.support.digests import digests
 from tests.support.paths import FOX, GOLDEN
 from tests.support.scenes import room_frames, write_sequence
 
 ROWS = 700  # Gaussians kept of the embedded scene
-WHOLE = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), keyframes=APART)
+WHOLE = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), keyframes=INTRA)
 COARSE = replace(WHOLE, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)))  # and a level of half the rows
 
 
@@ -46,7 +46,7 @@ def main() -> None:
     cases = {
         "fox": ([fox[frame] for frame in range(3, 7)], COARSE),
         "fox-fine": ([fox[frame] for frame in range(5, 8)], fine),
-        "room": (room_frames(ROWS, 4, degree=1), replace(COARSE, keyframes=KEPT, keep_all=True)),
+        "room": (room_frames(ROWS, 4, degree=1), replace(COARSE, keyframes=INTER, keep_all=True)),
     }
     for name, (cut, settings) in cases.items():
         encode_bare(cut, GOLDEN / name, settings, fps=24, keyframes=[0, 2])

@@ -18,9 +18,9 @@ from airgs_codec.media.h264 import (
     CodecSettings,
     Pictures,
     check_gop,
+    delta_codec,
     keyframe_codec,
     open_segment,
-    delta_codec,
 )
 from airgs_codec.media.mp4 import box, init_segment, read_boxes, read_samples, read_segment, start_codes, with_own_box
 from tests.faces import CodecError, FormatError

@@ -42,14 +42,14 @@ def horizon(*capacities, released=None, decoded=NONE, starts=None, offers=OFFERS
     # Keyframes are paid once a group, also those of a quality of which some are decoded; a byte less is not enough.
     (horizon(6300, 8400, starts=ONE_GROUP), 40, 6300),
     (horizon(6300, 8399, starts=ONE_GROUP), (40 + 38) / 2, None),
-    (horizon(2100, decoded=keys(2), starts=[False]), 40, 2100),
+    (horizon(2100, decoded=keyframes(2), starts=[False]), 40, 2100),
     (horizon(3200, decoded=FIRST, starts=[False]), 40, 3200),
     (horizon(3199, decoded=FIRST, starts=[False]), 38, 2200),
     # Bytes for 38 dB and then the smallest delta: not for 40 and coarser keyframes in place of those that were fetched.
     (horizon(6300, 6300, starts=ONE_GROUP), (38 + 34) / 2, None),
     # In a sequence of one segment, keyframes are fetched again in the second loop.
-    (horizon(2100, 2100 + 6300, decoded=keys(2), starts=[False, True], at=[0, 0]), 40, 2100),
-    (horizon(2100, 2100 + 6299, decoded=keys(2), starts=[False, True], at=[0, 0]), (40 + 38) / 2, None),
+    (horizon(2100, 2100 + 6300, decoded=keyframes(2), starts=[False, True], at=[0, 0]), 40, 2100),
+    (horizon(2100, 2100 + 6299, decoded=keyframes(2), starts=[False, True], at=[0, 0]), (40 + 38) / 2, None),
     # What is shown longer counts for more: bytes for one best rung, and one that is 2 dB worse, go to the three.
     (horizon(6300, 11600, offers=LONGER), (38 * 1 + 40 * 3) / 4, 5300),
     # A release keeps the link from working ahead: 3000 B after 9000 are enough for the 2800 of Q1+L1.
@@ -62,8 +62,8 @@ def horizon(*capacities, released=None, decoded=NONE, starts=None, offers=OFFERS
     (horizon(6300, 11599, offers=KEPT), (40 + 38) / 2, None),
     (horizon(9500, offers=KEPT, at=[1]), 40, 9500),
     (horizon(9499, offers=KEPT, at=[1]), 38, 8500),
-    (horizon(5300, offers=KEPT, at=[1], decoded=keys(2)), 40, 5300),
-    (horizon(5299, offers=KEPT, at=[1], decoded=keys(2)), 38, 4300),
+    (horizon(5300, offers=KEPT, at=[1], decoded=keyframes(2)), 40, 5300),
+    (horizon(5299, offers=KEPT, at=[1], decoded=keyframes(2)), 38, 4300),
     (horizon(9500, 15_800, 21_100, offers=FOUR, at=[1, 2, 3]), 40, 9500),
     (horizon(9500, 15_800, 21_099, offers=FOUR, at=[1, 2, 3]), (40 + 40 + 38) / 3, None),
     (horizon(6300, 15_800, offers=FOUR, at=[2, 3]), 40, 6300),  # nobody needed the base before
@@ -79,10 +79,10 @@ def test_the_best_of_a_horizon(programme, quality, first_bytes):
 
 def test_another_quality_than_the_bases_needs_the_base_in_that_quality():
     q0, q1 = (KEPT.rungs.index((q, 0)) for q in (0, 1))
-    sizes = KEPT.offer(1).sizes(keys(2))
+    sizes = KEPT.offer(1).sizes(keyframes(2))
     assert sizes[q0] == 3000 + 200 + 2100
     assert sizes[q1] == 1000 + 200 + (1000 + 500 + 200) + 2100
-    batch = KEPT.offer(1).missing(q1, keys(2))
+    batch = KEPT.offer(1).missing(q1, keyframes(2))
     assert batch.keyframes == (
         *("keyframe/T0/2.bin", "keyframe/T0/Q1/2.m4s", "keyframe/T0/1.bin", "keyframe/T0/Q1/1.m4s"),
         *("keyframe/T1/2.bin", "keyframe/T1/1.bin", "keyframe/T1/Q1/1.m4s"),

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from airgs_codec.play.ladder import Option, build_ladder, frame_budget, saved_shares, select, select_literal
 from airgs_codec.play.policies import upcoming_horizon
 from tests.faces import NAMES, NONE, ConfigError, Decision, Download, Offers, PlayerState, make_policy
-from tests.support.manifests import keys, link, tiny_manifest
+from tests.support.manifests import keyframes, link, tiny_manifest
 
 OFFERS = Offers(tiny_manifest(), header_bytes=0)
 FLAT = Offers(tiny_manifest(psnr=((40.0, 39.9), (39.8, 39.7), (39.6, 39.5))), header_bytes=0)
@@ -133,7 +133,7 @@ def test_the_planned_rung_is_taken_or_what_its_bytes_buy():
 @settings(max_examples=150)
 @given(
     rates=st.lists(st.floats(1e2, 1e9), max_size=8), buffer_s=st.floats(-5, 12), position=st.integers(0, 19),
-    held=st.sampled_from([NONE, keys(1), keys(2), keys(0, 2), keys(1, 2)]),
+    held=st.sampled_from([NONE, keyframes(1), keyframes(2), keyframes(0, 2), keyframes(1, 2)]),
     name=st.sampled_from([n for n in NAMES if n != "oracle-lp"]),
 )  # fmt: skip
 def test_any_policy_answers_with_an_option(rates, buffer_s, held, name, position):

@@ -76,14 +76,15 @@ HAND = {  # name -> package, link, policy or rungs by turns, rules, and what com
     # A table is one file; a group has 2 tiers of 2 files and a delta.
     "headers, round trips and decoding": (TINY, link([8e4], rtt=0.1), "fixed:0",
         {"decode_frame_s": 0.05, "headers": 100}, {"arrivals": [0.21, 0.33, 1.11, 1.23, 2.01], "starts": [1.16, 2.16]}),
-    "a level with nothing to fetch costs its keyframes": (tiny_manifest(delta_bytes=(2000, 1000, 0)), EVEN, "fixed:2", {},
+    "an empty level costs its keyframes": (tiny_manifest(delta_bytes=(2000, 1000, 0)), EVEN, "fixed:2", {},
         {"sizes": [1000, 100, 4200, 100, 4200], "bytes": {"manifests": 1200, "keyframe": 8000, "sidecars": 400}}),
     # The last level does with T0; rising in the middle of a group brings T1 along, once.
     "one tier": (with_core(segmented(tiny_manifest(groups=(30,), psnr=None))), EVEN, "fixed:2", {},
         {"bytes": {"manifests": 1100, "keyframe": 3000, "sidecars": 100, "delta": 1800}}),
     "two tiers": (with_core(segmented(tiny_manifest(groups=(30,), psnr=None))), EVEN, ("Q0+L2", "Q0+L0"), {},
         {"bytes": {"manifests": 1100, "keyframe": 4000, "sidecars": 200, "delta": 600 + 4200}}),
-    "a loop": (TINY, FAST, "fixed:1", {}, {"bytes": {"manifests": 1200, "keyframe": 8000, "sidecars": 400, "delta": 2200}}),
+    "a loop": (TINY, FAST, "fixed:1", {}, {
+        "bytes": {"manifests": 1200, "keyframe": 8000, "sidecars": 400, "delta": 2200}}),
     "loops fetch keyframes and deltas again but not tables": (TINY, FAST, "fixed:1", {"loops": 2}, {
         "bytes": {"manifests": 1200, "keyframe": 16_000, "sidecars": 800, "delta": 4400}}),
     "half a minute by default": (TINY, FAST, "fixed:1", {"loops": None}, {"played_s": 30.0}),

@@ -248,8 +248,8 @@ def test_a_folder_that_may_not_be_looked_into_is_none_of_the_list(holder, monkey
     ("index/1/12.json", "application/json"), ("keyframe/T0/1.bin", "application/octet-stream"),
     ("init.mp4", "video/mp4"),               (DELTA, "video/mp4"), ("manifest.mpd", "application/dash+xml"),
     *((path, None) for path in ("", "notes.json", "airgs.json/", "keyframe", "keyframe/T0/notes.txt", "x/1.bin")),
-    *((path, None) for path in ("keyframe/../airgs.json", "keyframe/./1.bin", "/airgs.json", "keyframe//1.bin", "keyframe/.b.bin")),
-    *((path, None) for path in (".airgs.json.part", "airgs.json\n", "keyframe/T0/1.bin\0", "keyframe\\1.bin", "keyframe/é/1.bin")),
+    *((path, None) for path in ("delta/../airgs.json", "delta/./1.bin", "/airgs.json", "delta//1.bin", "delta/.b.bin")),
+    *((path, None) for path in (".airgs.json.part", "airgs.json\n", "delta/1.bin\0", "delta\\1.bin", "delta/é/1.bin")),
 ])  # fmt: skip
 def test_a_path_has_a_type_or_is_none_of_a_package(path, expected):
     assert media_type(path) == expected

@@ -39,7 +39,7 @@ class Blob:
 
 @dataclass(frozen=True)
 class Rung:
-    """What a viewer shows: indices of keyframe quality and level, and how many keyframe tiers it has; None: all it asks for."""
+    """What a viewer shows: indices of keyframe quality and level, and its number of keyframe tiers; None: all."""
 
     quality: int
     level: int

@@ -60,7 +60,7 @@ def with_segments(m: Manifest, segments: Sequence[mf.Segment]) -> Manifest:
     return replace(m, groups=in_groups(groups))
 
 
-def keys(*tiers: int, group: int = 0) -> frozenset[tuple[int, int, int]]:
+def keyframes(*tiers: int, group: int = 0) -> frozenset[tuple[int, int, int]]:
     """Keyframes (group, keyframe quality, tier): so many tiers of each keyframe quality, from the first on."""
     return frozenset((group, quality, tier) for quality, count in enumerate(tiers) for tier in range(count))
 
@@ -89,8 +89,8 @@ def tiny_manifest(
     def table(start: int, stop: int) -> mf.Group:
         return mf.Group(
             start=start, stop=stop, count=10 * tiers, static=0, unused=0, left_out=[], repairs=[], colour_transform="",
-            grid=mf.Grid([0, 0, 0], 0.01, 0), keyframe_steps=mf.KeyframeSteps(*[0.1] * 5), delta_steps=mf.DeltaSteps(*[0.1] * 6),
-            tiers=keyframe_tiers, levels=[atlas] * levels,
+            grid=mf.Grid([0, 0, 0], 0.01, 0), keyframe_steps=mf.KeyframeSteps(*[0.1] * 5),
+            delta_steps=mf.DeltaSteps(*[0.1] * 6), tiers=keyframe_tiers, levels=[atlas] * levels,
             segments=[mf.Segment(start, stop, [level(j, stop - start) for j in range(levels)])],
         )  # fmt: skip
 
@@ -101,8 +101,8 @@ def tiny_manifest(
     ]
     return Manifest(
         version=mf.VERSION, generator=mf.Generator("test", {}, {}), attribution="", decisions=[], sh_degree=0,
-        frame_rate=list(fps), timescale=fps[0] * 100, frames=sum(groups), keyframe_gain=3.0, delta_gain=6.0, region=region(),
-        world=None, origin=None, poster=None, sound=None, live=False, init=mf.FileEntry(50, HASH), tiers=tiers,
+        frame_rate=list(fps), timescale=fps[0] * 100, frames=sum(groups), keyframe_gain=3.0, delta_gain=6.0,
+        region=region(), world=None, origin=None, poster=None, sound=None, live=False, init=mf.FileEntry(50, HASH), tiers=tiers,
         views=mf.Views(24, 12 if psnr else 0, "original" if psnr else "none"),
         qualities=[mf.KeyframeQuality(f"Q{q}", 1.0 + 2 * q, q) for q in range(qualities)],
         levels=[mf.Level(f"L{j}", 0.1 * j, 1.0 + j, tiers, 0) for j in range(levels)],

@@ -96,13 +96,13 @@ def places(document: Any, above: Place = ()) -> Iterator[Place]:
     """Every place of a parsed JSON document, the root `()` first."""
     yield above
     found = dict(enumerate(document)) if isinstance(document, list) else document
-    for key, inner in found.items() if isinstance(found, dict) else ():
-        yield from places(inner, (*above, keyframe))
+    for name, inner in found.items() if isinstance(found, dict) else ():
+        yield from places(inner, (*above, name))
 
 
 def _parent(document: Any, place: Place) -> Any:
-    for key in place[:-1]:
-        document = document[keyframe]
+    for name in place[:-1]:
+        document = document[name]
     return document
 
 

@@ -207,6 +207,6 @@ PACKAGES: dict[str, Callable[[Path], object]] = {
     "paper": Encoded(lambda: [moving_frames(200, 4)], PAPER),
     "calibrated": Encoded(dim_bands, EncodeSettings(preset="veryfast", threads=2), cameras=True),
     "harmonics": Encoded(harmonic_frames, replace(QUICK, segment_s=1.0, levels=TWO_LEVELS), fps=4, cameras=True),
-    "drift": Encoded(swaying, replace(QUICK, preset="ultrafast", keyframes=faces.APART, levels=TIERED_LEVELS)),
+    "drift": Encoded(swaying, replace(QUICK, preset="ultrafast", keyframes=faces.INTRA, levels=TIERED_LEVELS)),
     "turned": Encoded(lambda: [moving_frames(400, 4, 1)], replace(PLAIN, keep_all=False, levels=TURNED), cameras=True),
 }

@@ -161,7 +161,7 @@ def assert_near(got, expected):
         assert (away <= tolerance).all(), f"{name}: {away} off, at most {tolerance}"
 
 
-@each("keys")
+@each("keyframes")
 def test_keyframes(case):
     width, steps = CHANNELS[case["sh_degree"]], faces.KeyframeSteps(**case["steps"])
     codes = np.array(case["codes"], np.int32)
@@ -174,7 +174,7 @@ def test_keyframes(case):
     assert_near(names, case)
 
 
-@each("states")
+@each("deltas")
 def test_deltas(case):
     space, width, steps = case["canonical"], CHANNELS[case["sh_degree"]], faces.DeltaSteps(**case["steps"])
     base = channels.Canonical(

@@ -223,7 +223,7 @@ def test_a_batch_that_is_given_up_keeps_what_is_whole(faults):
 
 
 def test_what_is_kept_by_the_browser_says_nothing_of_the_network_and_by_the_player_is_not_fetched(faults):
-    """Of a table and a keyframe file, which can be asked for once the table is there, the keyframe file comes but once."""
+    """Of a table and a keyframe file, asked for once the table is there, the keyframe file comes but once."""
     first, again = faults["kept"]["came"]
     assert (first["cached"], again["cached"], again["bytes"]) == (False, True, 0) and first["bytes"] > 0
     assert first["whole"] == again["whole"] == [TABLE]

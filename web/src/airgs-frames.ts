@@ -6,7 +6,7 @@
 import { basesAfter } from "./format/atlas.ts";
 import { canonicalGaussians, shownGaussians } from "./format/gaussians.ts";
 import { levelled } from "./format/region.ts";
-import type { Canonical, Gaussians, Region, Root, DeltaFrame, World } from "./format/types.ts";
+import type { Canonical, DeltaFrame, Gaussians, Region, Root, World } from "./format/types.ts";
 import { Media } from "./media/client.ts";
 
 export { FormatError, type Reason } from "./format/errors.ts";

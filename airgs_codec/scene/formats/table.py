@@ -43,7 +43,7 @@ LEVELS = "lod-meta.json"  # of a scene whose folders are pieces of it in levels 
 INPUT = "input.ply"  # the points that such a model began with
 MOST_WORDS = 120  # characters on names
 _ARCHIVES = (".zip",)  # of a data set rather
-SOG_FOLDER = replace(SOG, name="SOG folder", keyframe="sog-folder", write=write_sog_folder)
+SOG_FOLDER = replace(SOG, name="SOG folder", key="sog-folder", write=write_sog_folder)
 KEYS = tuple(form.key for form in FRAMES)  # the names of formats that can be asked for
 Numbered = tuple[int, Gaussians]  # a frame and its number
 

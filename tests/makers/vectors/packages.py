@@ -25,9 +25,9 @@ from tests.makers.vectors.values import (
     STATIC,
     Coding,
     Rows,
+    delta_rows,
     keyframe_rows,
     listed,
-    delta_rows,
     unpack_transform,
 )
 from tests.support.digests import decode_slopes

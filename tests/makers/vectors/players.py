@@ -43,7 +43,7 @@ def player_state(offers: faces.Offers, delta: Case) -> PlayerState:
     positions = range(delta["position"], delta["end"])
     loop, segment = offers.place(delta["position"])
     offer = offers.offer(segment)
-    decoded = keys(*delta["decoded"], group=offer.group)
+    decoded = keyframes(*delta["decoded"], group=offer.group)
 
     def upcoming() -> Iterator[Coming]:
         for at, number in map(offers.place, positions):

@@ -134,7 +134,7 @@ def unpack_transform(text: str) -> Floats:
     return entries.reshape(math.isqrt(len(entries)), -1)
 
 
-def keys() -> Table:
+def keyframes() -> Table:
     """Codes of a keyframe -> values of the canonical space, all but the means, which codes of keyframes do not have."""
     found = []
     for case in cases("keyframes"):

@@ -130,7 +130,7 @@ def _identity(frame: Any, *_: Any) -> Any:
 MECHANISMS = (
     Mechanism(
         "keyframes as differences", "layout:lay_out_again layout:error_with keyframes:_code_difference",
-        _set(keyframes="apart"),
+        _set(keyframes="intra"),
     ),
     Mechanism(
         "Gaussians of later groups in a keyframe", "plan:until survey:joined",

@@ -27,7 +27,7 @@ from airgs_codec.encoder.sample import PRESET, CalibrationSample, encode_and_dec
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.steps import PRIOR, STEPS, Slope, Subject, balance, measure_slopes, solve_steps
 from airgs_codec.encoder.streams import ROUNDING
-from airgs_codec.media.h264 import CodecSettings, keyframe_codec, qp_step, delta_codec
+from airgs_codec.media.h264 import CodecSettings, delta_codec, keyframe_codec, qp_step
 from airgs_codec.package.layout import KEYFRAME
 from airgs_codec.scene.gaussians import Gaussians
 from tools.lab.numerics.outcome import (

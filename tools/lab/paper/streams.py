@@ -29,7 +29,7 @@ from airgs_codec.play.trace import Link, Trace
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.pictures import Pictures
-from tools.lab.baselines.airgs import fetched_bytes, keyframe_bytes, delta_bytes
+from tools.lab.baselines.airgs import delta_bytes, fetched_bytes, keyframe_bytes
 from tools.lab.baselines.method import Frame
 
 SECONDS = 10.0  # that are streamed from each offset, in whole rounds of the sequence

@@ -182,7 +182,8 @@ def row_of(trained: Trained, rate: float) -> dict[str, Any]:
         "worst": float(quality.min()), "deviation": float(away.mean()), "most_deviation": float(away.max()),
         "ssim": _mean([frame.ssim for frame in frames]), "kb_frame": mean_bytes(frames) / 1e3,
         "mbit_s": 8e-6 * mean_bytes(frames) * rate, "gaussians": _mean([frame.gaussians for frame in frames]),
-        "train_s_frame": _mean([frame.seconds for frame in frames]), "keyframe_s": _mean(keyframes) if keyframes else None,
+        "train_s_frame": _mean([frame.seconds for frame in frames]),
+        "keyframe_s": _mean(keyframes) if keyframes else None,
         "fps": trained.fps,
     }  # fmt: skip
 

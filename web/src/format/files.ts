@@ -5,7 +5,7 @@ import { pages, planeCorner, rowOffsets } from "./atlas.ts";
 import { pageSamples } from "./avc.ts";
 import { FormatError } from "./errors.ts";
 import { type Media, readMedia, type Sample } from "./mp4.ts";
-import { keyframeMediaPath, keyframeSidecarPath, deltaMediaPath } from "./paths.ts";
+import { deltaMediaPath, keyframeMediaPath, keyframeSidecarPath } from "./paths.ts";
 import { ColumnReader } from "./rangecoder.ts";
 import { canonicalMeans, type Escapes, motionUnits, readDetail, readEscapes, readSidecar } from "./sidecar.ts";
 import type { Atlas, BaseChanges, Group, Root } from "./types.ts";

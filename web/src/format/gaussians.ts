@@ -1,10 +1,18 @@
 // Codes to Gaussians on the CPU: FORMAT.md, section 5. It is what shaders are tested against, and what adapters to
 // other renderers feed. N rows of a group, n rows of a keyframe tier or a level, C colour channels.
-import { KEYFRAME_AT, OPACITY_MARGIN, SMALL_ANGLE, DELTA_AT } from "../generated/constants.ts";
+import { DELTA_AT, KEYFRAME_AT, OPACITY_MARGIN, SMALL_ANGLE } from "../generated/constants.ts";
 import { atlasSamples, basesAfter, readCodes } from "./atlas.ts";
 import { FormatError } from "./errors.ts";
 import { levelRows } from "./files.ts";
-import { colourChannels, colourMatrix, colourSteps, differenceSteps, gridUnit, keyframeSteps, deltaSteps } from "./steps.ts";
+import {
+  colourChannels,
+  colourMatrix,
+  colourSteps,
+  deltaSteps,
+  differenceSteps,
+  gridUnit,
+  keyframeSteps,
+} from "./steps.ts";
 import type { Canonical, Gaussians, Group, KeyframePart, Root } from "./types.ts";
 
 interface Coding {
@@ -44,7 +52,8 @@ export function canonicalGaussians(root: Root, group: Group, canonical: Canonica
     colours: new Float32Array(colourChannels(root.sh_degree) * units.length),
   };
   let first = 0;
-  const codesOf = ({ atlas, luma, bases }: KeyframePart) => readCodes(atlas, luma, basesAfter(atlasSamples(atlas), [bases]));
+  const codesOf = ({ atlas, luma, bases }: KeyframePart) =>
+    readCodes(atlas, luma, basesAfter(atlasSamples(atlas), [bases]));
   for (const part of canonical.parts) {
     const { atlas, factor, difference } = part;
     const rows = Uint32Array.from({ length: atlas.rows }, (_, i) => first + i);

@@ -7,6 +7,7 @@ import { FormatError } from "./errors.ts";
 import { countPages, GroupIndex, MissingTableError } from "./index.ts";
 import { inflate, parseRoot, parseTable } from "./parse.ts";
 import {
+  deltaMediaPath,
   groupPath,
   isPacked,
   keyframeMediaPath,
@@ -14,7 +15,6 @@ import {
   locate,
   pagePath,
   soundPath,
-  deltaMediaPath,
 } from "./paths.ts";
 import { checkBase, checkGroup, checkPage } from "./references.ts";
 import type { FileEntry, Group, Page, Root, Segment } from "./types.ts";
@@ -135,7 +135,9 @@ export class Tables {
 
   keyframesOf(group: number, quality: number, tiers: number): string[] {
     const groups = [group, this.base(group) ?? []].flat();
-    const all = Array.from({ length: tiers }, (_, tier) => groups.flatMap((of) => this.keyframeFiles(of, tier, quality)));
+    const all = Array.from({ length: tiers }, (_, tier) =>
+      groups.flatMap((of) => this.keyframeFiles(of, tier, quality)),
+    );
     return all.flat();
   }
 

@@ -24,7 +24,8 @@ export const pagePath = (level: number, number: number) => `index/${level}/${num
 export const groupPath = (number: number) => `group/${number}.json.gz`;
 /** Sidecar of a keyframe tier, the same for all qualities. */
 export const keyframeSidecarPath = (tier: number, number: number) => `keyframe/T${tier}/${number}.bin`;
-export const keyframeMediaPath = (tier: number, quality: number, number: number) => `keyframe/T${tier}/Q${quality}/${number}.m4s`;
+export const keyframeMediaPath = (tier: number, quality: number, number: number) =>
+  `keyframe/T${tier}/Q${quality}/${number}.m4s`;
 export const deltaMediaPath = (level: number, number: number) => `delta/L${level}/${number}.m4s`;
 
 export const isPacked = (path: string): boolean => path.endsWith(".gz");

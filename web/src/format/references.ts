@@ -2,6 +2,8 @@
 // those before it, and all on the schema. Every function throws FormatError (bad_value, missing_entry).
 import {
   BLOCK,
+  DELTA_AT,
+  DELTA_ATTRIBUTES,
   DIGEST,
   KEYFRAME_AT,
   KEYFRAME_ATTRIBUTES,
@@ -10,8 +12,6 @@ import {
   MIN_PICTURE_SIDE,
   PAGE,
   ROOT_PATH,
-  DELTA_AT,
-  DELTA_ATTRIBUTES,
 } from "../generated/constants.ts";
 import { pages, planeHeight } from "./atlas.ts";
 import { FormatError } from "./errors.ts";
@@ -186,7 +186,9 @@ function checkCounts(root: Root, group: Group, place: Place): void {
 function checkAtlases(root: Root, group: Group, place: Place): void {
   const colours = colourChannels(root.sh_degree);
   place.within("grid.step", gridUnit(group), 1e-30, 1e30);
-  const [first, attributes] = group.keeps ? [DELTA_AT.colour, DELTA_ATTRIBUTES] : [KEYFRAME_AT.colour, KEYFRAME_ATTRIBUTES];
+  const [first, attributes] = group.keeps
+    ? [DELTA_AT.colour, DELTA_ATTRIBUTES]
+    : [KEYFRAME_AT.colour, KEYFRAME_ATTRIBUTES];
   for (const [t, tier] of group.tiers.entries()) {
     for (const [q, atlas] of tier.qualities.entries()) {
       const at = `tiers[${t}].qualities[${q}]`;

@@ -1,5 +1,5 @@
 // What codes count in: FORMAT.md, section 5. C colour channels.
-import { KEYFRAME_CHANNELS, DELTA_CHANNELS, TRANSFORM_UNITS } from "../generated/constants.ts";
+import { DELTA_CHANNELS, KEYFRAME_CHANNELS, TRANSFORM_UNITS } from "../generated/constants.ts";
 import { FormatError } from "./errors.ts";
 import type { Group, Root } from "./types.ts";
 

@@ -24,13 +24,13 @@ export const ROOT_PATH = "airgs.json";
 export const INIT_PATH = "init.mp4";
 export const POSTER_PATH = "poster.jpg";
 export const SOUND_INIT_PATH = "sound/init.m4a";
-export const PATHS = [["^key/T(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.bin$", "sidecar"], ["^key/T(0|[1-9]\\d?)/Q(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.m4s$", "key"], ["^state/L(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.m4s$", "state"], ["^sound/([1-9]\\d{0,6})\\.m4a$", "sound"], ["^group/([1-9]\\d{0,6})\\.json\\.gz$", "group"], ["^index/([1-9])/([1-9]\\d{0,6})\\.json$", "page"]] as const;
-export const KEY_ATTRIBUTES = ["log_scales", "quaternions", "opacity", "colour"] as const;
-export const KEY_AT = {"log_scales": 0, "quaternions": 3, "opacity": 6, "colour": 7} as const;
-export const KEY_CHANNELS = ["log_scales", "log_scales", "log_scales", "quaternions", "quaternions", "quaternions", "opacity"] as const;
-export const STATE_ATTRIBUTES = ["means", "log_scales", "quaternions", "opacity", "colour"] as const;
-export const STATE_AT = {"means": 0, "log_scales": 3, "quaternions": 6, "opacity": 9, "colour": 10} as const;
-export const STATE_CHANNELS = ["means", "means", "means", "log_scales", "log_scales", "log_scales", "quaternions", "quaternions", "quaternions", "opacity"] as const;
+export const PATHS = [["^keyframe/T(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.bin$", "sidecar"], ["^keyframe/T(0|[1-9]\\d?)/Q(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.m4s$", "keyframe"], ["^delta/L(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.m4s$", "delta"], ["^sound/([1-9]\\d{0,6})\\.m4a$", "sound"], ["^group/([1-9]\\d{0,6})\\.json\\.gz$", "group"], ["^index/([1-9])/([1-9]\\d{0,6})\\.json$", "page"]] as const;
+export const KEYFRAME_ATTRIBUTES = ["log_scales", "quaternions", "opacity", "colour"] as const;
+export const KEYFRAME_AT = {"log_scales": 0, "quaternions": 3, "opacity": 6, "colour": 7} as const;
+export const KEYFRAME_CHANNELS = ["log_scales", "log_scales", "log_scales", "quaternions", "quaternions", "quaternions", "opacity"] as const;
+export const DELTA_ATTRIBUTES = ["means", "log_scales", "quaternions", "opacity", "colour"] as const;
+export const DELTA_AT = {"means": 0, "log_scales": 3, "quaternions": 6, "opacity": 9, "colour": 10} as const;
+export const DELTA_CHANNELS = ["means", "means", "means", "log_scales", "log_scales", "log_scales", "quaternions", "quaternions", "quaternions", "opacity"] as const;
 
 // airgs_codec.package.region
 export const LEAST_SCALE = 1e-06;

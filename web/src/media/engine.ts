@@ -4,7 +4,7 @@ import { FormatError } from "../format/errors.ts";
 import { MissingTableError } from "../format/index.ts";
 import { Tables } from "../format/package.ts";
 import { isPacked, isTable, soundPath } from "../format/paths.ts";
-import type { Canonical, CanonicalName, FileEntry, DeltaFrame } from "../format/types.ts";
+import type { Canonical, CanonicalName, DeltaFrame, FileEntry } from "../format/types.ts";
 import { ATTEMPTS, HEADER_BYTES, MAX_TABLE_BYTES, POSTER_PATH, ROOT_PATH } from "../generated/constants.ts";
 import { type FileAsk, fetchBatch } from "./batch.ts";
 import { Ahead } from "./bell.ts";

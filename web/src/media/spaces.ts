@@ -3,10 +3,10 @@
 import { planeCorner, slopeCodes } from "../format/atlas.ts";
 import { concat } from "../format/collections.ts";
 import { FormatError } from "../format/errors.ts";
-import { type Bases, checkCount, type KeyframeTier, levelRows, readKeyframeTier, readDeltas } from "../format/files.ts";
+import { type Bases, checkCount, type KeyframeTier, levelRows, readDeltas, readKeyframeTier } from "../format/files.ts";
 import type { Tables } from "../format/package.ts";
-import { differenceSteps, deltaSteps } from "../format/steps.ts";
-import type { Canonical, CanonicalName, KeyframePart, DeltaFrame } from "../format/types.ts";
+import { deltaSteps, differenceSteps } from "../format/steps.ts";
+import type { Canonical, CanonicalName, DeltaFrame, KeyframePart } from "../format/types.ts";
 import { ESCAPE_UNIT, GREY } from "../generated/constants.ts";
 import type { DecodeOptions } from "./decoder.ts";
 import type { PictureDecoder } from "./pictures.ts";

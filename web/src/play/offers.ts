@@ -92,7 +92,10 @@ export function missing({ rungs }: SegmentOffer, rung: number, decoded: Keyframe
 
 /** The tables of a package as far as a player looks at them; they may be numbers alone. All count from 0. */
 export interface OfferTables
-  extends Pick<Tables, "rootBytes" | "has" | "groupOf" | "rows" | "base" | "keyframeFiles" | "deltaFiles" | "soundFiles"> {
+  extends Pick<
+    Tables,
+    "rootBytes" | "has" | "groupOf" | "rows" | "base" | "keyframeFiles" | "deltaFiles" | "soundFiles"
+  > {
   readonly root: Pick<Root, "frame_rate" | "live" | "tiers" | "frames"> & {
     readonly views: Pick<Root["views"], "reference">;
     readonly qualities: readonly Pick<Root["qualities"][number], "id">[];
@@ -153,7 +156,7 @@ export class Offers {
     const rungs = this.rungs.map(([quality, level]) => {
       const shown = rows.slice(0, tables.root.levels[level].tiers);
       const gaussians = shown.reduce((sum, count) => sum + count, 0);
-      const keyframes = [...sound, ...shown.flatMap((_, tier) => this.#keys(group, quality, tier))];
+      const keyframes = [...sound, ...shown.flatMap((_, tier) => this.#keyframes(group, quality, tier))];
       const psnr = levels[level].psnr[quality] ?? 0;
       const [delta, deltaBytes] = [deltas[level], bytes[level]];
       const allowed = gaussians <= this.budget && level >= this.finest;
@@ -164,7 +167,7 @@ export class Offers {
     return Object.freeze({ segment, start, stop, seconds, group, base: tables.base(group), startsGroup, rungs });
   }
 
-  #keys(group: number, quality: number, tier: number): KeyframeOffer[] {
+  #keyframes(group: number, quality: number, tier: number): KeyframeOffer[] {
     const { tables } = this;
     const { qualities, tiers } = tables.root;
     const offers = [group, tables.base(group) ?? []].flat().map((of) => {

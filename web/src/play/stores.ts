@@ -6,7 +6,7 @@ import { groupPath, isSound, isTable } from "../format/paths.ts";
 import { type Arrival, usableFiles } from "./downloader.ts";
 import type { Option } from "./ladder.ts";
 import { type Batch, filesOf, missing, type Offers, optionsOf } from "./offers.ts";
-import type { Download } from "./policies/delta.ts";
+import type { Download } from "./policies/state.ts";
 
 /** Files that are known to have come; those of more were played long ago. */
 const MOST_PATHS = 4096;
@@ -78,7 +78,9 @@ export class KeyframeStore {
     const { levels, tiers } = this.offers.tables.root;
     const { rungs } = this.offers.of(this.offers.index(position));
     const decoded = this.decoded(position);
-    const wanted = rungs[quality * levels.length].keyframes.filter(({ tier, number }) => tier >= 0 && !decoded.has(number));
+    const wanted = rungs[quality * levels.length].keyframes.filter(
+      ({ tier, number }) => tier >= 0 && !decoded.has(number),
+    );
     return Math.min(tiers, ...wanted.map(({ tier }) => tier));
   }
 

@@ -3,7 +3,7 @@
 // The arithmetic is that of airgs_codec/render/cpu_kernels.py. The covariance of the picture is [[xx, xy], [xy, yy]]
 // px²; its determinant is taken by Cauchy-Binet, whose terms do not cancel.
 import type { Camera } from "../format/types.ts";
-import { DILATION, MARGIN, OPACITY_MARGIN, SH_C0, SH_C1, SH_C2, SH_C3, DELTA_AT } from "../generated/constants.ts";
+import { DELTA_AT, DILATION, MARGIN, OPACITY_MARGIN, SH_C0, SH_C1, SH_C2, SH_C3 } from "../generated/constants.ts";
 import type { Uniforms } from "./programs.ts";
 import { CODES, COLOURS, each, HEAD, layerSteps, ROW_WIDTH, size, TURNS, three, tints } from "./shaders.ts";
 

@@ -2,9 +2,9 @@
 // an order. N rows, C colour channels.
 //
 // A row takes 88 bytes and 16 for each four colours: 280 with spherical harmonics of degree 3.
-import { colourChannels, colourMatrix, differenceSteps, gridUnit, keyframeSteps, deltaSteps } from "../format/steps.ts";
+import { colourChannels, colourMatrix, deltaSteps, differenceSteps, gridUnit, keyframeSteps } from "../format/steps.ts";
 import type { Atlas, BaseChanges, Canonical, Group, KeyframePart, Root } from "../format/types.ts";
-import { KEYFRAME_AT, DELTA_AT, STATIC } from "../generated/constants.ts";
+import { DELTA_AT, KEYFRAME_AT, STATIC } from "../generated/constants.ts";
 import type { Programs, Uniforms } from "./programs.ts";
 import { type CodeTable, codeTable, Samples } from "./samples.ts";
 import { KEYFRAME_GEOMETRY, keyframeColours, LAYERS_A_PASS, ROW_WIDTH, WHOLE } from "./shaders.ts";
@@ -201,7 +201,7 @@ export class Scene {
     return this.freed || this.gl.isContextLost();
   }
 
-  /** A segment of a level begins: its bases are 0, and so are slopes. What is drawn stays until `state`. */
+  /** A segment of a level begins: its bases are 0, and so are slopes. What is drawn stays until `delta`. */
   begin(level: number): void {
     if (this.#gone) return;
     if (this.#coming?.level === level) {
@@ -226,11 +226,11 @@ export class Scene {
   /** The picture that is shown from now on, with slopes at a time: luma of all pages of the level's atlas, whose bases
    * were told before; null: the canonical space. Throws RenderError for a picture of another atlas.
    */
-  state(atlas: Atlas, luma: Uint8Array | null, time = 0): void {
+  delta(atlas: Atlas, luma: Uint8Array | null, time = 0): void {
     if (this.#gone) return;
     const view = this.#coming;
     if (luma && view?.atlas !== atlas) {
-      throw new RenderError(`a state: expected ${view ? `level ${view.level}` : "a level first"}, got another`);
+      throw new RenderError(`a delta: expected ${view ? `level ${view.level}` : "a level first"}, got another`);
     }
     this.projectedFor = null;
     this.moving = luma !== null;

@@ -3,7 +3,7 @@
 //
 // A pass over rows draws one triangle over the row textures: each fragment is a row. Attributes are stored as the bits of
 // floats in RGBA32UI textures, which core WebGL2 can draw into.
-import { ALPHA_MAX, BLOCK, ESCAPE_UNIT, GREY, KEYFRAME_AT, SMALL_ANGLE, DELTA_AT } from "../generated/constants.ts";
+import { ALPHA_MAX, BLOCK, DELTA_AT, ESCAPE_UNIT, GREY, KEYFRAME_AT, SMALL_ANGLE } from "../generated/constants.ts";
 
 /** Rows a line of the row textures. With as many lines, which every WebGL2 of today has, they hold 2^24 rows. */
 export const ROW_WIDTH = 4096;

@@ -106,7 +106,7 @@ export class Decoded {
       depths: this.#array(depths),
       parts: parts.map((part) => {
         const { keeps } = tables[group];
-        const keyframe = (picture: PictureTable, number: number, difference: KeyframePart | null): KeyframePart => {
+        const key = (picture: PictureTable, number: number, difference: KeyframePart | null): KeyframePart => {
           const { qualities, factor } = tables[number].tiers[part.tier];
           const luma = this.#array<Uint8Array>(picture.luma!);
           return { atlas: qualities[quality], factor, luma, bases: this.#changes(picture), difference };

@@ -6,7 +6,7 @@ import { FormatError } from "../../src/format/errors.ts";
 import { readDeltas } from "../../src/format/files.ts";
 import { canonicalGaussians, shownGaussians } from "../../src/format/gaussians.ts";
 import { groupPath } from "../../src/format/paths.ts";
-import type { Atlas, BaseChanges, Canonical, CanonicalName, Gaussians, DeltaFrame } from "../../src/format/types.ts";
+import type { Atlas, BaseChanges, Canonical, CanonicalName, DeltaFrame, Gaussians } from "../../src/format/types.ts";
 import { type Fetched, Media } from "../../src/media/client.ts";
 import { PictureDecoder } from "../../src/media/pictures.ts";
 import { probeBrowser } from "../../src/media/probe.ts";

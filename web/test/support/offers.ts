@@ -1,6 +1,13 @@
 // What a package offers a player, from numbers alone: `Offers` without files or tables. All count from 0.
 import { GroupIndex } from "../../src/format/index.ts";
-import { keyframeMediaPath, keyframeSidecarPath, locate, pagePath, soundPath, deltaMediaPath } from "../../src/format/paths.ts";
+import {
+  deltaMediaPath,
+  keyframeMediaPath,
+  keyframeSidecarPath,
+  locate,
+  pagePath,
+  soundPath,
+} from "../../src/format/paths.ts";
 import { PAGE } from "../../src/generated/constants.ts";
 import type { OfferTables } from "../../src/play/offers.ts";
 

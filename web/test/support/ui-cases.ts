@@ -69,7 +69,7 @@ const find = (node: FakeElement, selector: string) => inside(node).querySelector
 const button = (node: FakeElement, label: string) => find(node, `button[aria-label^="${label}"]`);
 const away = (node: FakeElement) => Math.hypot(...player(node).camera.position);
 
-async function press(...keyframes: string[]): Promise<void> {
+async function press(...keys: string[]): Promise<void> {
   for (const key of keys) await window.drive("keyboard.press", key);
 }
 

@@ -86,7 +86,13 @@ test("the files of a keyframe tier, and those of the base", async () => {
     [["keyframe/T0/2.bin", "keyframe/T0/Q1/2.m4s"], ["keyframe/T1/2.bin"]],
   );
   assert.deepEqual(tables.keyframesOf(0, 0, 1), ["keyframe/T0/1.bin", "keyframe/T0/Q0/1.m4s"]);
-  const files = ["keyframe/T0/2.bin", "keyframe/T0/Q1/2.m4s", "keyframe/T0/1.bin", "keyframe/T0/Q1/1.m4s", "keyframe/T1/2.bin"];
+  const files = [
+    "keyframe/T0/2.bin",
+    "keyframe/T0/Q1/2.m4s",
+    "keyframe/T0/1.bin",
+    "keyframe/T0/Q1/1.m4s",
+    "keyframe/T1/2.bin",
+  ];
   assert.deepEqual(tables.keyframesOf(1, 1, 2), [...files, "keyframe/T1/1.bin", "keyframe/T1/Q1/1.m4s"]);
 });
 

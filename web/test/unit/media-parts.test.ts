@@ -82,7 +82,9 @@ test("errors keep their class and their reason between threads", () => {
     assert.deepEqual([got.name, got.message], [error.name, error.message]);
   }
   const [format, transport, unsupported] = errors.map((error) => fromWire(toWire(error)));
-  assert.ok(format instanceof FormatError && format.reason === "bad_picture" && format.where === "keyframe/T0/Q0/1.m4s");
+  assert.ok(
+    format instanceof FormatError && format.reason === "bad_picture" && format.where === "keyframe/T0/Q0/1.m4s",
+  );
   assert.ok(transport instanceof TransportError && unsupported instanceof UnsupportedError);
   assert.equal(fromWire(toWire("words")).message, "words");
 });

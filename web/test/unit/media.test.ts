@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { annexB, codecOf, nalUnits, pageSamples } from "../../src/format/avc.ts";
 import { FormatError } from "../../src/format/errors.ts";
-import { checkCount, readKeyframeTier, readDeltas } from "../../src/format/files.ts";
+import { checkCount, readDeltas, readKeyframeTier } from "../../src/format/files.ts";
 import { type Media, readMedia } from "../../src/format/mp4.ts";
 import type { Tables } from "../../src/format/package.ts";
 import { locate } from "../../src/format/paths.ts";

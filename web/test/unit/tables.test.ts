@@ -6,7 +6,14 @@ import { FormatError } from "../../src/format/errors.ts";
 import { MissingTableError } from "../../src/format/index.ts";
 import { Tables } from "../../src/format/package.ts";
 import { checkTable, inflate } from "../../src/format/parse.ts";
-import { groupPath, keyframeMediaPath, keyframeSidecarPath, locate, pagePath, deltaMediaPath } from "../../src/format/paths.ts";
+import {
+  deltaMediaPath,
+  groupPath,
+  keyframeMediaPath,
+  keyframeSidecarPath,
+  locate,
+  pagePath,
+} from "../../src/format/paths.ts";
 import { group, page, root } from "../../src/generated/schema.ts";
 import { readBytes, readJson, readVectors } from "./files.ts";
 import { readTables } from "./walk.ts";

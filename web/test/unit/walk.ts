@@ -1,6 +1,6 @@
 // Reads a whole package as a player does, but for its pictures.
 import { FormatError } from "../../src/format/errors.ts";
-import { checkCount, readKeyframeTier, readDeltas } from "../../src/format/files.ts";
+import { checkCount, readDeltas, readKeyframeTier } from "../../src/format/files.ts";
 import { Tables } from "../../src/format/package.ts";
 import { groupPath } from "../../src/format/paths.ts";
 import { packetsOf, readSound } from "../../src/format/sound.ts";
