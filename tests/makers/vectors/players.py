@@ -1,7 +1,7 @@
 """What policies choose, and whole sessions over simulated links: regression vectors, made by policies and the player.
 
-Packages, links, deltas and what players are told are those of the committed files; of a new delta or session that is
-added there, the answers are made. A delta whose choice hangs on the last digits of a number is no vector: another order
+Packages, links, states and what players are told are those of the committed files; of a new state or session that is
+added there, the answers are made. A state whose choice hangs on the last digits of a number is no vector: another order
 of sums is right, too.
 """
 
@@ -22,28 +22,28 @@ from tests.support.vectors import Case, Table, cases, plain
 
 
 def policies() -> Table:
-    """Packages; deltas of players of one, with the estimates and the choice of every policy."""
+    """Packages; states of players of one, with the estimates and the choice of every policy."""
     packages = cases("policies", "packages")
     offers = [offers_of(numbers) for numbers in packages]
-    deltas = [delta | _answers(player_state(offers[delta["package"]], delta)) for delta in cases("policies", "deltas")]
-    return {"packages": packages, "deltas": deltas}
+    states = [state | _answers(player_state(offers[state["package"]], state)) for state in cases("policies", "states")]
+    return {"packages": packages, "states": states}
 
 
-def _answers(delta: PlayerState) -> dict[str, Any]:
+def _answers(state: PlayerState) -> dict[str, Any]:
     """Policy -> its rung, whether that fits, and its wire bytes; and what two of them think of the link."""
-    made = {name: policy.choose(delta) for name, policy in faces.ADAPTIVE.items()}
+    made = {name: policy.choose(state) for name, policy in faces.ADAPTIVE.items()}
     estimates = {"throughput": faces.estimate_throughput, "discounted": discounted_throughput}
     return {
-        "estimates": {name: plain(estimate(delta.history)) for name, estimate in estimates.items()},
+        "estimates": {name: plain(estimate(state.history)) for name, estimate in estimates.items()},
         "choices": {name: [d.index, d.fits, d.size_bytes] for name, d in made.items()},
     }
 
 
-def player_state(offers: faces.Offers, delta: Case) -> PlayerState:
-    positions = range(delta["position"], delta["end"])
-    loop, segment = offers.place(delta["position"])
+def player_state(offers: faces.Offers, state: Case) -> PlayerState:
+    positions = range(state["position"], state["end"])
+    loop, segment = offers.place(state["position"])
     offer = offers.offer(segment)
-    decoded = keyframes(*delta["decoded"], group=offer.group)
+    decoded = keyframes(*state["decoded"], group=offer.group)
 
     def upcoming() -> Iterator[Coming]:
         for at, number in map(offers.place, positions):
@@ -51,13 +51,13 @@ def player_state(offers: faces.Offers, delta: Case) -> PlayerState:
 
     told = ("position", "now_s", "deadline_s", "buffer_limit_s", "request_latency_s", "shown_quality")
     return PlayerState(
-        **{name: delta[name] for name in told},
+        **{name: state[name] for name in told},
         offer=offer,
         upcoming=upcoming,
         decoded=decoded,
-        options=tuple(option for option in offer.options(decoded) if option.index not in delta["unavailable"]),
+        options=tuple(option for option in offer.options(decoded) if option.index not in state["unavailable"]),
         pipelined=True,
-        history=tuple(faces.Download(size, seconds) for size, seconds in delta["history"]),
+        history=tuple(faces.Download(size, seconds) for size, seconds in state["history"]),
     )
 
 
