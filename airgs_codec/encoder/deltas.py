@@ -8,7 +8,6 @@ differences of all frames nor the samples of all levels may fit into memory: bot
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,7 +32,7 @@ from airgs_codec.encoder.streams import (
     ErrorModel,
     Representation,
     encode_checked,
-    encode_parallel,
+    in_threads,
 )
 from airgs_codec.media.h264 import DELTA_QP, ClosedGop, CodecSettings, CodedGop, delta_codec, qp_step
 from airgs_codec.package.layout import DELTA
@@ -65,7 +64,7 @@ def code_deltas(
 
     Those of a level are differences to the one of `bases`, the canonical space as decoded in each keyframe quality,
     that the level corrects. A segment is fetched if anything in it differs from the original canonical frame by more
-    than half a step. Samples go to files in `scratch`.
+    than half a step. Samples go to files in `scratch`. Raises CodecError.
     """
     file, settings = scratch / "values", plan.settings
     values = DeltaValues.write(file, frames, layout.rows, bases[0], layout.delta_steps)
@@ -97,10 +96,12 @@ def code_deltas(
             codec,
         )
         levels.append(coder.code(omitted))
+    pictures = in_threads(settings.threads, lambda level: _encode_level(layout, level, clock, codec), levels)
+    coded = tuple(replace(level, pictures=of) for level, of in zip(levels, pictures, strict=True))
     away = int((largest.max(axis=0) >= 0.999 * FURTHEST).sum())
     span = f"frames {layout.span[0]}-{layout.span[1] - 1}"
     notes = (f"{span}: {away} Gaussians go further than codes reach, and are coded nearer and as much smaller",)
-    return CodedDeltas(depths, tuple(levels), tuple(n for n in (static, no_planes) if n), notes * bool(away))
+    return CodedDeltas(depths, coded, tuple(note for note in (static, no_planes) if note), notes * bool(away))
 
 
 def rank_deltas(
@@ -122,29 +123,16 @@ def rank_deltas(
     return score, moving, largest
 
 
-def encode_deltas(
-    layout: GroupLayout, deltas: CodedDeltas, clock: Clock, settings: EncodeSettings
-) -> list[Representation]:
-    """Encode the pictures of every pruning level, a closed GOP for each segment that is fetched."""
-    codec = delta_codec(settings.preset)
-
-    def encode(level: CodedLevel) -> Representation:
-        if level.samples is None:
-            return EMPTY
-        size = AtlasPictures.of(level.samples, level.atlas).size
-        return encode_checked(_level_gops(layout, level, level.samples, clock.frame_ticks), size, clock, codec)
-
-    return encode_parallel([functools.partial(encode, level) for level in deltas.levels], settings.threads)
-
-
-def _level_gops(layout: GroupLayout, level: CodedLevel, samples: StoredSamples, ticks: int) -> Iterator[ClosedGop]:
-    """The segments of a level that are fetched; `samples` of all frames of the group, `ticks` a frame."""
-    for part, (start, _), escaped, line in zip(
-        layout.local_segments, layout.segments, level.escapes, level.lines, strict=True
-    ):
+def _encode_level(layout: GroupLayout, level: CodedLevel, clock: Clock, codec: CodecSettings) -> Representation:
+    """Encode the segments of a level that are fetched."""
+    if level.samples is None:
+        return EMPTY
+    gops, segments = [], zip(layout.local_segments, layout.segments, level.escapes, level.lines, strict=True)
+    for part, (start, _), escaped, line in segments:
         if escaped is not None:
-            shown = AtlasPictures.of(samples.part(part), level.atlas)
-            yield ClosedGop(shown, start * ticks, ticks, line)
+            shown = AtlasPictures.of(level.samples.part(part), level.atlas)
+            gops.append(ClosedGop(shown, start * clock.frame_ticks, clock.frame_ticks, line))
+    return encode_checked(gops, AtlasPictures.of(level.samples, level.atlas).size, clock, codec)
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,6 +168,7 @@ class CodedLevel:
     samples: StoredSamples | None  # None: no segment is fetched
     escapes: tuple[bytes | None, ...]  # of each segment; None: nothing to fetch, the canonical space is shown
     lines: tuple[CodedGop | None, ...]  # the picture of slopes of each segment; None: it has no line
+    pictures: Representation = EMPTY  # a closed GOP for each segment that is fetched
 
 
 @dataclass(frozen=True, slots=True, eq=False)

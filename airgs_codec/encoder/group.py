@@ -15,22 +15,14 @@ import numpy as np
 
 from airgs_codec.analysis.importance import WrittenRows
 from airgs_codec.coding.atlas import UncodableError
-from airgs_codec.coding.channels import Canonical
-from airgs_codec.encoder.deltas import code_deltas, encode_deltas
-from airgs_codec.encoder.keyframes import (
-    CodedKeyframes,
-    code_keyframes,
-    decode_keyframes,
-    encode_keyframes,
-    keyframe_bytes,
-)
-from airgs_codec.encoder.layout import GroupLayout, error_with, lay_out, lay_out_again
+from airgs_codec.encoder.deltas import code_deltas
+from airgs_codec.encoder.keyframes import CodedKeyframe, code_keyframe
+from airgs_codec.encoder.layout import error_with, lay_out, lay_out_again
 from airgs_codec.encoder.plan import Plan
-from airgs_codec.encoder.streams import Clock, Representation
+from airgs_codec.encoder.streams import Clock
 from airgs_codec.encoder.survey import Frames, Survey
-from airgs_codec.encoder.tables import CodedGroup, finish_group
+from airgs_codec.encoder.tables import GroupFiles, finish_group
 from airgs_codec.errors import SceneError
-from airgs_codec.package.tables import Group
 from airgs_codec.places.whole import naming
 from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.frames import Repaired, turn_least
@@ -41,31 +33,12 @@ UNBOUNDED = ("means", "log_scales", "sh_dc", "sh_rest")  # attributes whose numb
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CodedKeyframe:
-    """A group whose keyframe is coded: everything that its deltas need."""
-
-    layout: GroupLayout
-    keyframes: CodedKeyframes
-    pictures: Sequence[Sequence[Representation]]  # keyframe tier x keyframe quality
-    decoded: Sequence[Canonical]  # for each keyframe quality
-    bytes: int  # of all its keyframe pictures and sidecars
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Base:
     """The last group whose keyframe is coded by itself, against which later ones may be coded."""
 
     coded: CodedKeyframe
     survey: Survey
     written: WrittenRows
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GroupFiles:
-    """A group as it goes into a package."""
-
-    table: Group  # without measured quality
-    files: Mapping[str, bytes]  # by path
 
 
 def encode_run(run: Sequence[Frames], plan: Plan) -> list[GroupFiles]:
@@ -93,20 +66,17 @@ def encode_group(
     loaded = turn_least(frames.sequence.load(range(frames.start, frames.stop)))
     with naming_farthest(frames):
         coded, base = _code_keyframe(frames, loaded, plan, None if frames.begins else base, survey)
-    layout, clock = coded.layout, Clock.of(frames.sequence.fps)
-    with tempfile.TemporaryDirectory(prefix="airgs-") as scratch, naming(Path(scratch)):
-        with naming_farthest(frames):
-            deltas = code_deltas(layout, coded.decoded, loaded.frames, plan, clock, Path(scratch))
-        pictures = encode_deltas(layout, deltas, clock, plan.settings)
-        group = CodedGroup(layout, coded.keyframes, deltas, coded.pictures, pictures, frames.first_segment)
-        return GroupFiles(*finish_group(group)), base
+    with tempfile.TemporaryDirectory(prefix="airgs-") as scratch, naming(Path(scratch)), naming_farthest(frames):
+        clock = Clock.of(frames.sequence.fps)
+        deltas = code_deltas(coded.layout, coded.decoded, loaded.frames, plan, clock, Path(scratch))
+        return finish_group(coded, deltas, frames.first_segment), base
 
 
 def _code_keyframe(
     frames: Frames, loaded: Repaired, plan: Plan, base: Base | None, survey: Survey | None
 ) -> tuple[CodedKeyframe, Base]:
     """Code a keyframe by its difference to the base, or by itself where there is none or it saves too little."""
-    settings, views = plan.settings, plan.views
+    settings, views, clock = plan.settings, plan.views, Clock.of(frames.sequence.fps)
     allowed, written = settings.row_error if views.trusted else None, None
     if base is not None:
         known = base.coded.layout
@@ -117,7 +87,7 @@ def _code_keyframe(
             error = error_with(known, loaded, survey, written, views, settings)
         if error is not None:
             layout = lay_out_again(loaded, frames, known, survey or base.survey, error, views, settings)
-            coded = _coded(layout, plan, frames, base.coded.decoded)
+            coded = code_keyframe(layout, settings, clock, base.coded.decoded)
             share = 1.0 if written is None else len(written.rows) / len(known.rows)
             if coded.bytes <= (1 - WORTH) * share * base.coded.bytes:
                 return coded, base
@@ -128,18 +98,8 @@ def _code_keyframe(
         if len(rows) <= (1 + MORE) * len(written.rows):
             survey, written = survey.joined(base.survey), replace(written, rows=rows)
     layout = lay_out(loaded, frames, survey, written, views, settings)
-    coded = _coded(layout, plan, frames, ())
+    coded = code_keyframe(layout, settings, clock)
     return coded, Base(coded, survey, written)
-
-
-def _coded(layout: GroupLayout, plan: Plan, frames: Frames, base: Sequence[Canonical]) -> CodedKeyframe:
-    """Code a keyframe, by its difference to `base`, the canonical space in each quality, where there is one."""
-    settings = plan.settings
-    keyframes = code_keyframes(layout, settings, base)
-    pictures = encode_keyframes(layout, keyframes, Clock.of(frames.sequence.fps), settings)
-    spaces: Sequence[Canonical | None] = base or [None] * len(settings.keyframe_factors)
-    decoded = [decode_keyframes(layout, keyframes, pictures, settings, q, space) for q, space in enumerate(spaces)]
-    return CodedKeyframe(layout, keyframes, pictures, decoded, keyframe_bytes(layout, keyframes, pictures))
 
 
 @contextmanager

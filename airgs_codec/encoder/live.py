@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
@@ -14,13 +15,14 @@ from airgs_codec.analysis.matching import IN_ORDER, compare_order
 from airgs_codec.analysis.rows import Restored, restore_rows
 from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.decide import Surveys, choose
-from airgs_codec.encoder.group import Base, GroupFiles, encode_group
+from airgs_codec.encoder.group import Base, encode_group
 from airgs_codec.encoder.measure import FIRST, Seen, measure, with_quality
 from airgs_codec.encoder.order import Ordered, hold_frames
 from airgs_codec.encoder.plan import Plan
 from airgs_codec.encoder.publish import finish, held_to_readers, write_checked
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import Span
+from airgs_codec.encoder.survey import Frames, Span, Survey
+from airgs_codec.encoder.tables import GroupFiles
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
@@ -34,6 +36,7 @@ from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder
 
 POLL_S = 0.2  # between two looks at the folder
+REMEMBERED = 64  # groups whose pictures rate the whole package, evenly spread: a package may grow for days
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,13 +57,14 @@ class _Publisher:
         self._place, self._attribution, self._owner = place, attribution, owner
         self._base: Base | None = None
         self._base_files: GroupFiles | None = None  # of the group that `_base` is
-        self._seen: list[Seen] = []
+        self._seen: list[Seen] = []  # of every so many-th group
+        self._every = 1
         self.package: GrowingPackage | None = None
 
-    def publish(self, sequence: GaussianSequence, plan: Plan, number: int, surveys: Surveys) -> Manifest:
-        """Encode, measure and publish a group of a plan; gives the tables of the package."""
-        frames = plan.frames(sequence)[number]
-        files, base = encode_group(frames, plan, self._base, surveys.get(frames.number))
+    def publish(self, frames: Frames, plan: Plan, survey: Survey | None) -> Manifest:
+        """Encode, measure and publish a group; gives the tables of the package."""
+        sequence = frames.sequence
+        files, base = encode_group(frames, plan, self._base, survey)
         self._base_files = files if base is not self._base else self._base_files
         self._base = base
         if self.package is None:
@@ -96,9 +100,14 @@ class _Publisher:
         most, renderer = plan.settings.measure_pictures, open_renderer(plan.settings.device)
         if not most:
             return m
-        segments = m.segments_of(len(m.groups) - 1)
-        self._seen.append(measure(Package(place, m, 0), sequence, plan.views, renderer, min(most, FIRST), segments))
-        return with_quality(m, self._seen, newest=self.package is not None)
+        newest = len(m.groups) - 1
+        found = measure(Package(place, m, 0), sequence, plan.views, renderer, min(most, FIRST), m.segments_of(newest))
+        rated = with_quality(m, [*self._seen, found], newest=self.package is not None)
+        if newest % self._every == 0:
+            self._seen.append(found)
+        if len(self._seen) == REMEMBERED:
+            self._seen, self._every = self._seen[::2], 2 * self._every
+        return rated
 
 
 def follow(
@@ -121,8 +130,8 @@ def follow(
     Raises SceneError, CodecError and ConfigError as `publish.encode` does.
     """
     surveys: Surveys = {}
-    planned = [] if plan is None else [(span, plan.until(number)) for number, span in enumerate(plan.groups)]
-    number = 0
+    planned = [] if plan is None else [plan.spans(number) for number in range(len(plan.groups))]
+    number = begun = first_segment = 0
     with ExitStack() as owner:
         publisher = _Publisher(place_at(path), attribution, owner)
         try:
@@ -135,31 +144,36 @@ def follow(
                             part = replace(sequence, paths=sequence.paths[:stop], headers=sequence.headers[:stop])
                             ordered = Ordered(replace(rows, sequence=part), 0.0)
                             plan, surveys = choose(ordered, settings, None, progress, run=0)
-                        elif number >= len(plan.groups):
-                            plan = plan.with_groups(sequence, [(start, stop)], alone=_lost(sequence, start, stop))
-                        m = publisher.publish(sequence, plan, number, surveys)
+                        if number < len(plan.groups):
+                            frames = plan.part(sequence, number, first_segment)
+                        else:
+                            begins = _lost(sequence, start, stop) or plan.begins_run(sequence, start, number - begun)
+                            read = replace(sequence, max_sh_degree=plan.sh_degree)
+                            frames = Frames(read, number, ((start, stop),), first_segment, begins)
+                        m = publisher.publish(frames, plan, surveys.pop(number, None))
                         yield _published(m, whole, notes)
-                        notes, number = [], number + 1
+                        begun = number if frames.begins else begun
+                        notes, number, first_segment = [], number + 1, len(m.segments)
         finally:
             if publisher.package is not None:
                 publisher.package.close()
 
 
 def _whole_groups(
-    folder: GrowingFolder, planned: list[tuple[Span, int]], group_frames: int, more: Callable[[int], bool]
+    folder: GrowingFolder, planned: list[tuple[Span, ...]], group_frames: int, more: Callable[[int], bool]
 ) -> Iterator[tuple[GaussianSequence, int, int]]:
     """Each group [start, stop) once all frames that it needs are there, with the sequence as far as it is there.
 
-    `planned`: groups that are given, and where the frames end that they need; then come those that no frame will join.
+    `planned`: the spans of groups that are given, as `Plan.spans` has them; then come those that no frame will join.
     """
-    at, count, done, left = 0, 0, False, list(planned)
+    at, count, done, left = 0, 0, False, deque(planned)
     while not done:
         done = not more(count)
         sequence = folder.look()
         if sequence is not None:
             count = len(sequence)
-            while left and left[0][1] <= count:
-                (start, at), _ = left.pop(0)
+            while left and left[0][-1][1] <= count:
+                start, at = left.popleft()[0]
                 yield sequence, start, at
             for start, stop in [] if left else closed_groups(sequence, at, group_frames, done):
                 yield sequence, start, stop
@@ -167,7 +181,7 @@ def _whole_groups(
         if not done:
             time.sleep(POLL_S)
     if left:
-        raise ConfigError(f"plan: expected a sequence of at least {left[-1][1]} frames, got {count}")
+        raise ConfigError(f"plan: expected a sequence of at least {left[-1][0][1]} frames, got {count}")
     folder.check_finished()
 
 

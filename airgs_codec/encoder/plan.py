@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 from airgs_codec._arguments import brief
 from airgs_codec.analysis.grouping import closed_groups
@@ -55,24 +57,22 @@ class Plan:
         if self.run < 0:
             raise ConfigError(f"run: expected 0 or more groups, got {self.run}")
 
-    def with_groups(self, sequence: GaussianSequence, groups: Sequence[Span], alone: bool = False) -> Plan:
-        """Add groups to the plan.
-
-        One begins a run that has other Gaussians than the one before it or follows a run of full length, and each does
-        that is to stand `alone` or where the settings say so.
-        """
+    def with_groups(self, sequence: GaussianSequence, groups: Sequence[Span]) -> Plan:
+        """Add groups to the plan."""
         begins = list(self.begins)
         for number, (start, _) in enumerate(groups, len(self.groups)):
-            if (
-                number == 0
-                or alone
-                or self.settings.keyframes == INTRA
-                or (self.run and number - begins[-1] >= self.run)
-                or start in sequence.breaks
-                or sequence.count(start) != sequence.count(start - 1)
-            ):
+            if not begins or self.begins_run(sequence, start, number - begins[-1]):
                 begins.append(number)
         return replace(self, groups=(*self.groups, *groups), begins=tuple(begins))
+
+    def begins_run(self, sequence: GaussianSequence, start: int, length: int) -> bool:
+        """Whether a group from a frame on begins a run, where so many groups are in the last one.
+
+        It does where it has other Gaussians than the group before it, where that run is full, and where the settings
+        ask for it.
+        """
+        full = self.settings.keyframes == INTRA or 0 < self.run <= length
+        return full or start in sequence.breaks or sequence.count(start) != sequence.count(start - 1)
 
     def of(self, sequence: GaussianSequence) -> Plan:
         """The plan with groups for all frames of a sequence. Raises ConfigError for a sequence that is too short."""
@@ -81,25 +81,29 @@ class Plan:
             raise ConfigError(f"plan: expected a sequence of at least {planned} frames, got {len(sequence)}")
         return self.with_groups(sequence, closed_groups(sequence, planned, self.settings.group_frames, done=True))
 
-    def until(self, number: int) -> int:
-        """Where the frames end that a group needs: those of the groups that its keyframe is chosen for."""
-        later = [begin for begin in self.begins if begin > number] if self.run else [number + 1]
-        return self.groups[later[0] - 1 if later else -1][1]
+    def spans(self, number: int) -> tuple[Span, ...]:
+        """Give the frames of a group, then those of the groups after it that its keyframe is chosen for."""
+        later = bisect_right(self.begins, number)
+        end = self.begins[later] if later < len(self.begins) else len(self.groups)
+        return self.groups[number : end if self.run else number + 1]
+
+    def part(self, sequence: GaussianSequence, number: int, first_segment: int) -> Frames:
+        """Give the frames of a group, without the SH bands that are left out."""
+        read = replace(sequence, max_sh_degree=self.sh_degree)
+        return Frames(read, number, self.spans(number), first_segment, number in self.begins)
 
     def frames(self, sequence: GaussianSequence) -> list[Frames]:
-        """Give the frames of every group, without the SH bands that are left out."""
-        read, first, found = replace(sequence, max_sh_degree=self.sh_degree), 0, []
-        for start, stop in zip(self.begins, [*self.begins[1:], len(self.groups)], strict=True):
-            for number in range(start, stop):
-                spans = self.groups[number : stop if self.run else number + 1]
-                found.append(Frames(read, number, spans, first, number == start))
-                first += len(split_segments(spans[0], self.settings.segment_s, sequence.fps))
+        """Give the frames of every group."""
+        first, found = 0, []
+        for number, span in enumerate(self.groups):
+            found.append(self.part(sequence, number, first))
+            first += len(split_segments(span, self.settings.segment_s, sequence.fps))
         return found
 
     def runs(self, sequence: GaussianSequence) -> Iterator[list[Frames]]:
         """Give the frames of the groups of each run: none needs another run."""
         frames = self.frames(sequence)
-        for start, stop in zip(self.begins, [*self.begins[1:], len(self.groups)], strict=True):
+        for start, stop in pairwise([*self.begins, len(self.groups)]):
             yield frames[start:stop]
 
     def to_json(self) -> str:

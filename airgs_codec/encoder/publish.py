@@ -13,13 +13,13 @@ from airgs_codec._arguments import argument, brief, path_argument
 from airgs_codec.analysis.rows import Restored
 from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.decide import Surveys, choose
-from airgs_codec.encoder.group import GroupFiles, encode_run, fold
+from airgs_codec.encoder.group import encode_run, fold
 from airgs_codec.encoder.measure import measure, with_quality
 from airgs_codec.encoder.order import hold_frames, order_rows
 from airgs_codec.encoder.plan import Choice, Plan
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings
 from airgs_codec.encoder.survey import Frames
-from airgs_codec.encoder.tables import add_sound, build_manifest
+from airgs_codec.encoder.tables import GroupFiles, add_sound, build_manifest
 from airgs_codec.encoder.target import Goal
 from airgs_codec.errors import ConfigError, FormatError, SceneError
 from airgs_codec.jobs.work import Work

@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, Decimal
 from fractions import Fraction
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,8 @@ from airgs_codec.media.h264 import (
 from airgs_codec.package.layout import Layout
 from airgs_codec.package.tables import Atlas
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 ROUNDING = 2.0**-22
 DIGITS = 3  # of a bound, which is rounded up to them
 
@@ -75,6 +78,12 @@ class Representation:
     size: tuple[int, int]  # width and height of its pictures, samples
     differences: tuple[NDArray[np.uint8], ...]  # (pages * H, W) largest luma error of each closed GOP
 
+    def described(self, atlas: Atlas, error: ErrorModel | None, layout: Layout) -> Atlas:
+        """Return the atlas with the size of its pictures and its `max_error`: zeros where `error` is None."""
+        width, height = self.size if atlas.planes else (0, 0)
+        errors = [0.0] * len(layout.attributes) if error is None else error.bound(atlas, self.differences, layout)
+        return replace(atlas, max_error=errors, width=width, height=height)
+
 
 EMPTY = Representation((), (0, 0), ())
 
@@ -104,10 +113,10 @@ def _encode_checked(
     raise CodecError(f"decoded luma leaves {DARKEST}-{BRIGHTEST} at every QP")
 
 
-def encode_parallel(tasks: Sequence[Callable[[], Representation]], threads: int) -> list[Representation]:
-    """Return what the tasks give, in order: x264 releases the interpreter lock, so threads serve."""
+def in_threads(threads: int, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """Return what a function gives of each item, in order: x264 releases the interpreter lock, so threads serve."""
     with ThreadPoolExecutor(threads) as pool:
-        return [future.result() for future in [pool.submit(task) for task in tasks]]
+        return list(pool.map(function, items))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,12 +155,3 @@ def _round_up(error: float) -> float:
     """The least number of DIGITS significant digits that is no less."""
     shown = Decimal(float(error))
     return float(shown.quantize(Decimal(1).scaleb(shown.adjusted() - DIGITS + 1), ROUND_CEILING)) if error else 0.0
-
-
-def with_bounds(
-    atlas: Atlas, error: ErrorModel | None, differences: Sequence[NDArray[np.uint8]], layout: Layout
-) -> Atlas:
-    """The atlas with its `max_error`; zeros where there is no error to speak of."""
-    if error is None:
-        return replace(atlas, max_error=[0.0] * len(layout.attributes))
-    return replace(atlas, max_error=error.bound(atlas, differences, layout))

@@ -211,7 +211,7 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
         "",
         _table(groups, GROUPS).to_text(),
         "",
-        _table([key for key in s["keys"] if key["gaussians"][1]], KEYFRAMES).to_text(),  # others have no files
+        _table([one for one in s["keyframes"] if one["gaussians"][1]], KEYFRAMES).to_text(),  # others have no files
         "",
         "levels, without keyframes:",
         _table(s["levels"], LEVELS).to_text(),

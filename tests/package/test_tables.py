@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests import faces
-from tests.faces import JSON_NAME, KEY, STATE, FileKind, FormatError, open_package, parse_group, parse_root
+from tests.faces import DELTA, JSON_NAME, KEYFRAME, FileKind, FormatError, open_package, parse_group, parse_root
 from tests.makers.refusals import BREAKS, PAGE_TABLE, TABLE, changes, source_of
 from tests.support.mutations import apply, parse_table, places, set_value
 from tests.support.paths import CORPUS, REPOSITORY
@@ -36,7 +36,9 @@ def channels(text):
     return list(range(numbers[0], last + 1))
 
 
-@pytest.mark.parametrize(("layout", "steps"), [(KEY, "keyframe_steps"), (STATE, "delta_steps")], ids=["key", "state"])
+@pytest.mark.parametrize(
+    ("layout", "steps"), [(KEYFRAME, "keyframe_steps"), (DELTA, "delta_steps")], ids=["keyframe", "delta"]
+)
 def test_the_format_lists_the_same_channels_in_the_same_order(layout, steps):
     """Rows of the table of key or delta channels have channels, value and step."""
     section = FORMAT.split("## 5.")[1].split("## 6.")[0]
@@ -58,8 +60,8 @@ def test_the_format_lists_the_same_channels_in_the_same_order(layout, steps):
     (faces.group_path(7200), "group/7200.json.gz", FileKind.MANIFESTS, ("group", (7200,))),
     (faces.page_path(2, 1), "index/2/1.json", FileKind.MANIFESTS, ("page", (2, 1))),
     (faces.INIT_NAME, "init.mp4", FileKind.INIT, ("", ())),
-    (faces.keyframe_media_path(1, 12, 3), "keyframe/T1/Q12/3.m4s", FileKind.KEY, ("key", (1, 12, 3))),
-    (faces.delta_media_path(2, 3), "delta/L2/3.m4s", FileKind.STATE, ("state", (2, 3))),
+    (faces.keyframe_media_path(1, 12, 3), "keyframe/T1/Q12/3.m4s", FileKind.KEYFRAME, ("key", (1, 12, 3))),
+    (faces.delta_media_path(2, 3), "delta/L2/3.m4s", FileKind.DELTA, ("state", (2, 3))),
     (faces.keyframe_sidecar_path(0, 30), "keyframe/T0/30.bin", FileKind.SIDECARS, ("sidecar", (0, 30))),
 ])  # fmt: skip
 def test_what_a_file_carries_follows_from_its_path(path, written, kind, place):

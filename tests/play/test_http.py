@@ -138,7 +138,7 @@ def test_an_answer_that_trickles_is_broken_off_and_one_that_is_slow_is_not(part)
 READERS = opened, open_package
 ANSWERS = {  # for every file -> what is said of it, and how often the player asks
     "401": (Answer(status=401), "status 401 .the server asks for a sign-in", 1),
-    "403": (Answer(status=403), "status 403 .the server refuses: a keyframe", 1),
+    "403": (Answer(status=403), "status 403 .the server refuses: a key", 1),
     "404": (Answer(status=404), "no such file|expected a package", 1),
     "416": (Answer(status=416), "status 416", 1),
     "429": (Answer(status=429, headers={"Retry-After": "9"}), "status 429 .the server is busy", 1),

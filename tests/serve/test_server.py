@@ -28,7 +28,7 @@ NAME = PACKAGE.name
 ROOT = f"/{NAME}/airgs.json"
 HEAD = {":method": "GET", ":path": ROOT, ":authority": "localhost"}  # of HTTP/2
 PATIENCE_S = 0.4
-STATE, SIZE = "delta/L0/1.m4s", 32 << 20
+DELTA, SIZE = "delta/L0/1.m4s", 32 << 20
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def port():
 def big(tmp_path):
     """A package with a file that is larger than buffers are."""
     package = shutil.copytree(PACKAGE, tmp_path / "big")
-    (package / STATE).write_bytes(bytes(SIZE))
+    (package / DELTA).write_bytes(bytes(SIZE))
     return package
 
 
@@ -75,7 +75,7 @@ def test_packages_are_listed_in_the_order_of_their_names_and_their_folders_lead_
 
 
 def test_conditions_and_ranges(port):
-    data, target = (PACKAGE / STATE).read_bytes(), f"/{NAME}/{STATE}"
+    data, target = (PACKAGE / DELTA).read_bytes(), f"/{NAME}/{DELTA}"
     tag = ask(port, target)[1]["ETag"]
     for known in (tag, f'"a", W/{tag}', "*"):
         status, headers, body = ask(port, target, If_None_Match=known)
@@ -179,7 +179,7 @@ def test_a_client_that_takes_nothing_is_dropped(big):
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 16)
         connection.settimeout(10)
         connection.connect(("127.0.0.1", port))
-        connection.sendall(request(f"/big/{STATE}"))
+        connection.sendall(request(f"/big/{DELTA}"))
         threading.Event().wait(8 * PATIENCE_S)
         taken = 0
         with contextlib.suppress(ConnectionError):
@@ -193,21 +193,21 @@ def test_nobody_is_given_parts_of_two_files_for_one(big, truncated):
     """A file that is replaced while it is sent comes as it was; of one that is cut the answer ends before its end."""
     with serving(big) as port:
         connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
-        connection.request("GET", f"/big/{STATE}")
+        connection.request("GET", f"/big/{DELTA}")
         response = connection.getresponse()
         if truncated:
-            os.truncate(big / STATE, 0)
+            os.truncate(big / DELTA, 0)
             with pytest.raises(http.client.IncompleteRead):
                 response.read()
         else:
-            Folder(big).write(STATE, b"x" * SIZE)
+            Folder(big).write(DELTA, b"x" * SIZE)
             assert response.read() == bytes(SIZE)
         connection.close()
 
 
 def test_memory_does_not_grow_with_files_that_nobody_takes(big):
     """Clients that read nothing of a large file, and one that wants a byte of it, from a server with 256 MiB more."""
-    os.truncate(big / STATE, 100 << 20)
+    os.truncate(big / DELTA, 100 << 20)
     program = [sys.executable, "-uc", "from airgs_codec.cli.serve import main; main()", str(big), "--port", "0"]
     with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as child, contextlib.ExitStack() as stack:
         stack.callback(child.terminate)
@@ -216,9 +216,9 @@ def test_memory_does_not_grow_with_files_that_nobody_takes(big):
         resource.prlimit(child.pid, resource.RLIMIT_DATA, (taken + (256 << 20),) * 2)
         for _ in range(40):
             reader = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
-            reader.sendall(request(f"/big/{STATE}"))
+            reader.sendall(request(f"/big/{DELTA}"))
             assert reader.recv(12) == b"HTTP/1.1 200"
-        status, _, body = ask(port, f"/big/{STATE}", Range="bytes=77777-77777")
+        status, _, body = ask(port, f"/big/{DELTA}", Range="bytes=77777-77777")
         assert (status, len(body), child.poll()) == (206, 1, None)
 
 

@@ -102,7 +102,8 @@ def tiny_manifest(
     return Manifest(
         version=mf.VERSION, generator=mf.Generator("test", {}, {}), attribution="", decisions=[], sh_degree=0,
         frame_rate=list(fps), timescale=fps[0] * 100, frames=sum(groups), keyframe_gain=3.0, delta_gain=6.0,
-        region=region(), world=None, origin=None, poster=None, sound=None, live=False, init=mf.FileEntry(50, HASH), tiers=tiers,
+        region=region(), world=None, origin=None, poster=None, sound=None, live=False, tiers=tiers,
+        init=mf.FileEntry(50, HASH),
         views=mf.Views(24, 12 if psnr else 0, "original" if psnr else "none"),
         qualities=[mf.KeyframeQuality(f"Q{q}", 1.0 + 2 * q, q) for q in range(qualities)],
         levels=[mf.Level(f"L{j}", 0.1 * j, 1.0 + j, tiers, 0) for j in range(levels)],

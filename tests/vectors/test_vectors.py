@@ -11,7 +11,7 @@ from airgs_codec.coding.motion import motion_units
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.render.reference import sh_colours
 from tests import faces
-from tests.faces import KEY, STATE, FormatError, Grid, from_codes, unpack_matrix
+from tests.faces import DELTA, KEYFRAME, FormatError, Grid, from_codes, unpack_matrix
 from tests.makers.vectors.__main__ import make
 from tests.support.paths import REPOSITORY, VECTORS
 from tests.support.session_packages import long_index
@@ -165,7 +165,7 @@ def assert_near(got, expected):
 def test_keyframes(case):
     width, steps = CHANNELS[case["sh_degree"]], faces.KeyframeSteps(**case["steps"])
     codes = np.array(case["codes"], np.int32)
-    values = from_codes(codes, KEY.steps(steps, width) * case["factor"], case["gain"])
+    values = from_codes(codes, KEYFRAME.steps(steps, width) * case["factor"], case["gain"])
     nowhere = (np.zeros(codes.shape[1], kind) for kind in (np.uint64, np.int16, np.int16, np.uint8))
     transform = unpack_matrix(case["colour_transform"], width)
     of = sidecar.KeyframeSidecar(*nowhere), transform, Grid(**case["grid"]), steps
@@ -188,7 +188,7 @@ def test_deltas(case):
     )
     rows = np.flatnonzero((base.depths >= case["level"]) & (base.depths != 255))
     assert rows.tolist() == case["rows"]
-    widths = STATE.steps(steps, width) * case["factor"]
+    widths = DELTA.steps(steps, width) * case["factor"]
     applier = channels.DeltaApplier.of(base, rows, steps)
     for place, frame in enumerate(case["frames"]):
         codes = np.array(frame["codes"], np.int32)[:, : len(rows)]
