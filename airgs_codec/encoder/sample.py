@@ -6,7 +6,7 @@ T frames, N rows of a group, n rows of the sample, c channels, C colour channels
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 import numpy as np
@@ -44,6 +44,7 @@ from airgs_codec.media.h264 import (
     qp_step,
 )
 from airgs_codec.package.layout import DELTA, KEYFRAME
+from airgs_codec.scene.columns import SHARED, Columns
 from airgs_codec.scene.gaussians import Gaussians
 
 Weights = NDArray[np.float64]
@@ -65,8 +66,10 @@ class Cost:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CalibrationSample:
-    """Blocks of rows of a group in file order, over some of its frames."""
+class CalibrationSample(Columns):
+    """Blocks of rows of a group in file order, over some of its frames; some of its rows are a sample of a group that
+    has fewer by the same share.
+    """
 
     index: NDArray[np.intp]  # (n,) rows of the group in file order
     keyframe: Gaussians  # n rows of the canonical frame
@@ -75,23 +78,10 @@ class CalibrationSample:
     sensitivity: Sensitivity  # (n,)
     moving: NDArray[np.bool_]  # (n,) rows that some level carries
     factors: NDArray[np.float64]  # (n,) on the keyframe steps
-    row_ratio: float  # rows of the group for each of the sample
-    group_frames: int  # frames of the group
-    segment_frames: int  # frames of a delta segment
-    lined: bool = False  # whether segments have lines
-
-    def take(self, rows: NDArray[np.bool_]) -> CalibrationSample:
-        """Fewer rows, as a sample of a group that has fewer by the same share."""
-        return replace(
-            self,
-            index=self.index[rows],
-            keyframe=self.keyframe.take(rows),
-            frames=[frame.take(rows) for frame in self.frames],
-            classes=self.classes[rows],
-            sensitivity=self.sensitivity.take(np.flatnonzero(rows)),
-            moving=self.moving[rows],
-            factors=self.factors[rows],
-        )
+    row_ratio: float = field(metadata=SHARED)  # rows of the group for each of the sample
+    group_frames: int = field(metadata=SHARED)  # frames of the group
+    segment_frames: int = field(metadata=SHARED)  # frames of a delta segment
+    lined: bool = field(default=False, metadata=SHARED)  # whether segments have lines
 
     def cost(self, steps: StepSettings, attributes: Sequence[str] = DELTA.attributes) -> Cost:
         """Estimate what coding the keyframes and deltas of these attributes costs at `steps`."""

@@ -5,9 +5,9 @@ N Gaussians of a group after repairs.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import TypeVar
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
 Span = tuple[int, int]  # frames [start, stop)
-Columns = TypeVar("Columns", Usage, Sensitivity)
+LARGEST = partial(np.max, axis=0)  # of each number in several columns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,9 +31,7 @@ class Frames:
 
     sequence: GaussianSequence
     number: int  # of the group, from 0
-    spans: tuple[
-        Span, ...
-    ]  # of the group itself, then of groups whose keyframes may be coded by their difference to it
+    spans: tuple[Span, ...]  # of the group itself, then of those whose keyframes may be coded against its own
     first_segment: int = 0  # how many segments the groups before it have
     begins: bool = True  # its keyframe is coded by itself
 
@@ -60,9 +58,7 @@ class Survey:
     importance: NDArray[np.float64]  # (N,) as `analysis.importance` has it
     checks: _Pictures  # other pictures, which show what leaving Gaussians out would do
     renderer: Renderer
-    errors: dict[int, float] = field(
-        default_factory=dict
-    )  # Gaussians left out -> error that `checks` have shown so far
+    errors: dict[int, float] = field(default_factory=dict)  # Gaussians left out -> error that `checks` have shown
 
     @staticmethod
     def of(frames: Frames, views: Views, renderer: Renderer) -> Survey:
@@ -74,7 +70,7 @@ class Survey:
         usage, sensitivity = measure_views(_Pictures(loaded, decide), renderer)
         known = [sequence.usage(*span) for span in frames.spans]
         measured = [one for one in known if one is not None and len(one.peak) == len(usage.peak)]
-        usage = most(measured) if len(measured) == len(known) else usage
+        usage = Usage.combined(measured, LARGEST) if len(measured) == len(known) else usage
         ranked = importance(list(loaded.values()), usage, sensitivity)
         return Survey(seen.stop, usage, sensitivity, ranked, _Pictures(loaded, check), renderer)
 
@@ -96,7 +92,8 @@ class Survey:
     def joined(self, other: Survey) -> Survey:
         """Give each Gaussian the most that either survey says of it."""
         ranked = np.maximum(self.importance, other.importance)
-        usage, sensitivity = most([self.usage, other.usage]), most([self.sensitivity, other.sensitivity])
+        usage = Usage.combined([self.usage, other.usage], LARGEST)
+        sensitivity = Sensitivity.combined([self.sensitivity, other.sensitivity], LARGEST)
         return replace(self, usage=usage, sensitivity=sensitivity, importance=ranked, errors={})
 
 
@@ -109,9 +106,3 @@ class _Pictures:
 
     def __iter__(self) -> Iterator[tuple[Gaussians, Camera]]:
         return ((self.frames[number], camera) for number, camera in self.pictures)
-
-
-def most(parts: Sequence[Columns]) -> Columns:
-    """Take the largest of each number in some columns of N rows."""
-    names = [f.name for f in fields(parts[0])]
-    return type(parts[0])(**{name: np.max([getattr(part, name) for part in parts], axis=0) for name in names})

@@ -60,8 +60,8 @@ def test_the_format_lists_the_same_channels_in_the_same_order(layout, steps):
     (faces.group_path(7200), "group/7200.json.gz", FileKind.MANIFESTS, ("group", (7200,))),
     (faces.page_path(2, 1), "index/2/1.json", FileKind.MANIFESTS, ("page", (2, 1))),
     (faces.INIT_NAME, "init.mp4", FileKind.INIT, ("", ())),
-    (faces.keyframe_media_path(1, 12, 3), "keyframe/T1/Q12/3.m4s", FileKind.KEYFRAME, ("key", (1, 12, 3))),
-    (faces.delta_media_path(2, 3), "delta/L2/3.m4s", FileKind.DELTA, ("state", (2, 3))),
+    (faces.keyframe_media_path(1, 12, 3), "keyframe/T1/Q12/3.m4s", FileKind.KEYFRAME, ("keyframe", (1, 12, 3))),
+    (faces.delta_media_path(2, 3), "delta/L2/3.m4s", FileKind.DELTA, ("delta", (2, 3))),
     (faces.keyframe_sidecar_path(0, 30), "keyframe/T0/30.bin", FileKind.SIDECARS, ("sidecar", (0, 30))),
 ])  # fmt: skip
 def test_what_a_file_carries_follows_from_its_path(path, written, kind, place):
