@@ -193,9 +193,9 @@ def run(options: Options, lab: Lab) -> Page:
             try:
                 how, (found, gpu_mib) = alone(measured, function, device, *arguments, limit_s=max(0.0, left_s))
             except TimeoutError:
-                row["delta"] = "no time left"
+                row["state"] = "no time left"
             except Exception as error:  # whatever it is, others may still be done
-                row["delta"] = f"failed: {(str(error).strip().splitlines() or [type(error).__name__])[0]}"
+                row["state"] = f"failed: {(str(error).strip().splitlines() or [type(error).__name__])[0]}"
             else:
                 rows[table] += found
                 row |= {"state": DONE, "seconds": how.took.wall, "memory, MB": how.peak_mb, "of the GPU, MiB": gpu_mib}
@@ -236,8 +236,8 @@ def parts_of(options: Options, folder: Path) -> Iterator[Part]:
 def page_of(rows: dict[str, list[Row]], parts: Sequence[Row], options: Options) -> Page:
     seen = rows["pictures"]
     apart = [Difference(**{name: row[name] for name in asdict(LIMITS)}) for row in seen]
-    over, failed = sum(not one.good() for one in apart), sum("failed" in row["delta"] for row in parts)
-    done = sum(row["delta"] == DONE for row in parts)
+    over, failed = sum(not one.good() for one in apart), sum("failed" in row["state"] for row in parts)
+    done = sum(row["state"] == DONE for row in parts)
     answer = f"{done} of {len(parts)} parts were done, {failed} failed; "
     answer += f"{over} of {len(seen)} pictures are over a limit." if over else f"{len(seen)} pictures agree."
     largest = {name: float(np.max([row[name] for row in seen])) for name in asdict(LIMITS)} if seen else {}
