@@ -70,7 +70,7 @@ def _as_json(published: PublishedGroup) -> dict[str, object]:
         "frames": [group.start, group.stop],
         "bytes": _bytes(published),
         "gaussians": group.count,
-        "keeps": group.keeps,
+        "base": group.base,
         **seconds,
         "rows": published.notes,
     }
@@ -80,7 +80,7 @@ def _as_words(published: PublishedGroup) -> str:
     group = published.group
     quality = [level.psnr[0] for segment in group.segments for level in segment.levels[:1] if level.psnr]
     shown = f", {min(quality):.1f} dB at least" if quality else ""
-    shown += f", keyframe by its difference to group {group.keeps}" if group.keeps else ""
+    shown += f", keyframe by its difference to group {group.base}" if group.base else ""
     size = _bytes(published) / (group.stop - group.start) / 1e3
     return (
         f"group {published.number}: frames {group.start}-{group.stop - 1}, {size:.1f} kB/frame on the top rung{shown}, "

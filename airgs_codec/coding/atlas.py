@@ -200,7 +200,7 @@ def read_values(
     return values
 
 
-def line_times(frames: int) -> NDArray[np.float64]:
+def slope_times(frames: int) -> NDArray[np.float64]:
     """(T,) what slopes count in each frame of a segment of T > 1: -1 in the first, 1 in the last."""
     return (2 * np.arange(frames) - (frames - 1)) / (frames - 1)
 

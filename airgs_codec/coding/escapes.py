@@ -124,11 +124,11 @@ def pack(*found: Escapes) -> bytes:
 
 
 def unpack_segment(
-    data: bytes | None, shape: tuple[int, int, int], lined: bool, where: str
+    data: bytes | None, shape: tuple[int, int, int], sloped: bool, where: str
 ) -> tuple[Escapes | None, Escapes]:
-    """The escapes of a segment of `shape` (T, P, N), behind those of its slopes where it is `lined`; see `unpack`."""
+    """The escapes of a segment of `shape` (T, P, N), behind those of its slopes where it is `sloped`; see `unpack`."""
     reader = ColumnReader(data, where)
-    slopes = read_columns(reader, (1, *shape[1:])) if lined else None
+    slopes = read_columns(reader, (1, *shape[1:])) if sloped else None
     frames = read_columns(reader, shape)
     reader.close()
     return slopes, frames

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from airgs_codec._arguments import argument, frame_argument
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import add_slopes, code_units, line_times, read_codes, read_values
+from airgs_codec.coding.atlas import add_slopes, code_units, read_codes, read_values, slope_times
 from airgs_codec.coding.channels import Canonical, DeltaApplier, dequantise_keyframe, join_canonical, unpack_matrix
 from airgs_codec.coding.escapes import Escapes
 from airgs_codec.coding.kernels import FrameMemory
@@ -195,7 +195,7 @@ def _read_keyframe(package: Package, group: int, tier: int, quality: int) -> tup
     The picture is decoded on another thread while columns are read.
     """
     m, g = package.manifest, package.manifest.groups[group]
-    entry, differs, coarsest = g.tiers[tier], g.keeps is not None, m.qualities[-1].coarser
+    entry, differs, coarsest = g.tiers[tier], g.base is not None, m.qualities[-1].coarser
     (where, *paths), atlas = m.keyframe_files(group, tier, quality), entry.qualities[quality]
     data, *media = [package.read(path) for path in (where, *paths)]
     columns, pictures = open_segment(media[0], paths[0], atlas.pages) if media else (None, ())
@@ -265,23 +265,23 @@ def decode_pictures(package: Package, index: int, level: int, frames: range) -> 
     """Consecutive frames of a segment with a file, counted from its start. Raises FormatError."""
     m, first, last = package.manifest, frames.start, frames.stop
     segment = m.segments[index]
-    count, lined = segment.stop - segment.start, bool(segment.levels[level].line)
+    count, sloped = segment.stop - segment.start, bool(segment.levels[level].slopes)
     (media,) = m.delta_files(index, level)
     group = m.groups[m.group_of(index)]
     atlas, steps = group.levels[level], DELTA.steps(group.delta_steps, m.colour_channels) * m.levels[level].factor
     units = code_units(steps, m.delta_gain)
     columns, pictures = open_segment(package.read(media), media, atlas.pages)
-    front, pictures = pictures.cut() if lined else (None, pictures)
+    front, pictures = pictures.cut() if sloped else (None, pictures)
     coming = decode_ahead(itertools.islice(replace(pictures, memory=FrameMemory().empty), last))
     shape = count, len(atlas.planes), atlas.rows
     known = _escapes.get(package)
     if known is None or known[0] != (index, level):
-        known = _escapes[package] = (index, level), escapes.unpack_segment(columns, shape, lined, media)
+        known = _escapes[package] = (index, level), escapes.unpack_segment(columns, shape, sloped, media)
     rising, jumps = known[1]
     slopes = None
     if front is not None and rising is not None:
         slopes = _expect_picture(next(iter(front), None), atlas, media), next(rising.running())
-    times = line_times(count) if lined else np.zeros(count)
+    times = slope_times(count) if sloped else np.zeros(count)
     bases, shown = jumps.running(), 0
     for shown, picture in enumerate(coming, 1):
         now = next(bases)

@@ -70,7 +70,7 @@ def choose(
         choices.append(Choice("importance", f"{len(survey.importance)} Gaussians ranked", watch.lap()))
         found = find_steps(sample, survey, views, settings)
         bands, words = omit_bands(sample, survey, found.settings)
-        plan = replace(plan, settings=found.settings, lined=found.lined, sh_degree=bands)
+        plan = replace(plan, settings=found.settings, sloped=found.sloped, sh_degree=bands)
         gained = f"about {found.saved / 1e3:.3g} kB a frame at equal error"
         choices.append(Choice("steps and pruning levels", plan.settings.words, watch.lap(), gained))
         if words:

@@ -1,9 +1,9 @@
 """All frames of a group -> the deltas of every pruning level: which Gaussians it carries, its samples and escapes.
 
-Differences to the canonical space are coded as pictures. A line is what each Gaussian changes by, evenly, in a segment:
-coded as a picture of slopes in front of the frames, which code what the line as decoded leaves, so that errors do not
-add up. T frames, S segments and N Gaussians of a group, n of a level, P planes, C colour channels. Neither the
-differences of all frames nor the samples of all levels may fit into memory: both wait in a scratch folder.
+Differences to the canonical space are coded as pictures. Slopes are what each Gaussian changes by,
+evenly, in a segment: a picture in front of those of the frames, which code what the slopes as decoded leave, so that
+errors do not add up. T frames, S segments and N Gaussians of a group, n of a level, P planes, C colour channels. Neither
+the differences of all frames nor the samples of all levels may fit into memory: both wait in a scratch folder.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import GREY, extract, fit_centre, line_times, make_atlas, to_codes
+from airgs_codec.coding.atlas import GREY, extract, fit_centre, make_atlas, slope_times, to_codes
 from airgs_codec.coding.channels import FURTHEST, LEAST_DRAWN, Canonical, delta_channels, hold_undrawn
 from airgs_codec.coding.escapes import Escapes
 from airgs_codec.encoder.layout import GroupLayout, assign_depths, rank_updates
 from airgs_codec.encoder.omit import DeltaOmissions, DeltaValues, note_static
 from airgs_codec.encoder.plan import Plan
-from airgs_codec.encoder.sample import LEAST_LINED, fit_slopes
+from airgs_codec.encoder.sample import LEAST_SLOPED, fit_slopes
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.streams import (
     EMPTY,
@@ -90,7 +90,7 @@ def code_deltas(
                 part if (changes > level.factor / 2).any() else None
                 for part, changes in zip(layout.local_segments, largest[:, rows], strict=True)
             ],
-            plan.lined,
+            plan.sloped,
             scratch / f"level {number}",
             clock,
             codec,
@@ -127,11 +127,11 @@ def _encode_level(layout: GroupLayout, level: CodedLevel, clock: Clock, codec: C
     """Encode the segments of a level that are fetched."""
     if level.samples is None:
         return EMPTY
-    gops, segments = [], zip(layout.local_segments, layout.segments, level.escapes, level.lines, strict=True)
-    for part, (start, _), escaped, line in segments:
+    gops, segments = [], zip(layout.local_segments, layout.segments, level.escapes, level.slopes, strict=True)
+    for part, (start, _), escaped, slope in segments:
         if escaped is not None:
             shown = AtlasPictures.of(level.samples.part(part), level.atlas)
-            gops.append(ClosedGop(shown, start * clock.frame_ticks, clock.frame_ticks, line))
+            gops.append(ClosedGop(shown, start * clock.frame_ticks, clock.frame_ticks, slope))
     return encode_checked(gops, AtlasPictures.of(level.samples, level.atlas).size, clock, codec)
 
 
@@ -167,31 +167,31 @@ class CodedLevel:
     error: ErrorModel | None  # None: it carries no rows
     samples: StoredSamples | None  # None: no segment is fetched
     escapes: tuple[bytes | None, ...]  # of each segment; None: nothing to fetch, the canonical space is shown
-    lines: tuple[CodedGop | None, ...]  # the picture of slopes of each segment; None: it has no line
+    slopes: tuple[CodedGop | None, ...]  # the picture of slopes of each segment; None: it has no slope
     pictures: Representation = EMPTY  # a closed GOP for each segment that is fetched
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CodedLine:
+class CodedSlopes:
     gop: CodedGop  # of one picture
     escapes: Escapes
     samples: NDArray[np.uint8]  # (P, n) as decoded
     bases: NDArray[np.int32]  # (P, n)
 
     @staticmethod
-    def of(codes: NDArray[np.int32], atlas: Atlas, clock: Clock, codec: CodecSettings) -> CodedLine:
+    def of(codes: NDArray[np.int32], atlas: Atlas, clock: Clock, codec: CodecSettings) -> CodedSlopes:
         """Code (P, n) codes of slopes. Raises CodecError."""
         samples, bases = escapes.split(codes[None])
         pictures = AtlasPictures.of(samples, atlas)
         (gop,) = encode_checked([ClosedGop(pictures, 0, 1)], pictures.size, clock, codec).gops
-        return CodedLine(gop, Escapes.of(bases), extract(next(iter(gop.pictures("slopes"))), atlas), bases[0])
+        return CodedSlopes(gop, Escapes.of(bases), extract(next(iter(gop.pictures("slopes"))), atlas), bases[0])
 
-    def slopes(self, plane: int) -> NDArray[np.float64]:
+    def decoded(self, plane: int) -> NDArray[np.float64]:
         """(n,) slopes of a plane as decoded, in codes."""
         return self.samples[plane].astype(np.float64) - GREY + escapes.UNIT * self.bases[plane]
 
 
-Lines = Sequence[CodedLine | None]  # of each segment
+Slopes = Sequence[CodedSlopes | None]  # of each segment
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,7 +203,7 @@ class LevelCoder:
     alpha: NDArray[np.float64]  # (n,) canonical, as decoded
     steps: NDArray[np.float64]  # (10 + C,)
     fetched: Sequence[slice | None]  # frames of each segment; None: nothing is to be fetched
-    lined: bool  # segments have lines
+    sloped: bool  # segments have slopes
     file: Path  # for samples
     clock: Clock
     codec: CodecSettings
@@ -232,13 +232,13 @@ class LevelCoder:
         error = ErrorModel.of(low, high, atlas, self.steps / gain)
         if not planes or self.fetched == list(nothing):
             return CodedLevel(replace(atlas, planes=[], plane_width=0, columns=0), error, None, nothing, nothing)
-        lines = self._lines(atlas)
-        if any(lines):
-            jumps, error = self._write_again(atlas, lines, error)
+        slopes = self._lines(atlas)
+        if any(slopes):
+            jumps, error = self._write_again(atlas, slopes, error)
         frames = self.values.frames
         samples = StoredSamples(self.file, len(planes), len(self.rows), frames, range(frames))
-        gops = tuple(line.gop if line else None for line in lines)
-        return CodedLevel(atlas, error, samples, self._packed(jumps, lines), gops)
+        gops = tuple(slope.gop if slope else None for slope in slopes)
+        return CodedLevel(atlas, error, samples, self._packed(jumps, slopes), gops)
 
     def _channel(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.int32] | None]:
         """(T, n) values of a channel to be coded, and bases that are taken off besides, of rows that are not drawn."""
@@ -267,39 +267,39 @@ class LevelCoder:
         file.write(samples.data)
         return jumps
 
-    def _packed(self, jumps: Sequence[Sequence[Escapes]], lines: Lines) -> tuple[bytes | None, ...]:
+    def _packed(self, jumps: Sequence[Sequence[Escapes]], slopes: Slopes) -> tuple[bytes | None, ...]:
         """The column file of each segment, None where nothing is fetched."""
         of_segments = (Escapes.join(of_segment) for of_segment in zip(*jumps, strict=True))
         return tuple(
-            None if part is None else escapes.pack(*((line.escapes,) if line else ()), next(of_segments))
-            for part, line in zip(self.fetched, lines, strict=True)
+            None if part is None else escapes.pack(*((slope.escapes,) if slope else ()), next(of_segments))
+            for part, slope in zip(self.fetched, slopes, strict=True)
         )
 
-    def _lines(self, atlas: Atlas) -> Lines:
-        """The lines of segments of at least LEAST_LINED frames, where the plan has lines."""
+    def _lines(self, atlas: Atlas) -> Slopes:
+        """The slopes of segments of at least LEAST_SLOPED frames, where the plan has slopes."""
         shape = len(atlas.planes), len(self.rows)
-        lined = [
-            part if self.lined and part and part.stop - part.start >= LEAST_LINED else None for part in self.fetched
+        sloped = [
+            part if self.sloped and part and part.stop - part.start >= LEAST_SLOPED else None for part in self.fetched
         ]
-        codes = [part and np.empty(shape, np.int32) for part in lined]
-        for plane, channel in enumerate(atlas.planes if any(lined) else []):
+        codes = [part and np.empty(shape, np.int32) for part in sloped]
+        for plane, channel in enumerate(atlas.planes if any(sloped) else []):
             values = self._channel(channel)[0]
-            for part, found in zip(lined, codes, strict=True):
+            for part, found in zip(sloped, codes, strict=True):
                 if part is not None and found is not None:
                     found[plane] = self._codes(fit_slopes(values[part])[None], channel)[0, 0]
-        return [None if found is None else CodedLine.of(found, atlas, self.clock, self.codec) for found in codes]
+        return [None if found is None else CodedSlopes.of(found, atlas, self.clock, self.codec) for found in codes]
 
-    def _write_again(self, atlas: Atlas, lines: Lines, error: ErrorModel) -> tuple[list[list[Escapes]], ErrorModel]:
-        """Write the samples of what lines leave; gives the jumps as `_write` does, and bounds that know the lines."""
+    def _write_again(self, atlas: Atlas, slopes: Slopes, error: ErrorModel) -> tuple[list[list[Escapes]], ErrorModel]:
+        """Write the samples of what slopes leave; gives the jumps as `_write` does, and bounds that know the slopes."""
         jumps, largest = [], error.largest.copy()
         with self.file.open("wb") as file:
             for plane, channel in enumerate(atlas.planes):
                 values, hidden = self._channel(channel)
-                for part, line in zip(self.fetched, lines, strict=True):
-                    if part and line:
-                        slopes = line.slopes(plane) * error.units[channel]
-                        values[part] -= line_times(part.stop - part.start)[:, None] * slopes
-                        most = error.largest[channel] + ROUNDINGS * float(np.abs(slopes).max())
+                for part, slope in zip(self.fetched, slopes, strict=True):
+                    if part and slope:
+                        rises = slope.decoded(plane) * error.units[channel]
+                        values[part] -= slope_times(part.stop - part.start)[:, None] * rises
+                        most = error.largest[channel] + ROUNDINGS * float(np.abs(rises).max())
                         largest[channel] = max(largest[channel], most)
                 codes = self._codes(values, channel) - np.int32(atlas.centres[channel])
                 jumps.append(self._write(file, codes, hidden))

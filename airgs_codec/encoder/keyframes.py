@@ -63,7 +63,7 @@ class CodedKeyframe:
     def sidecar(self, tier: int, depths: NDArray[np.uint8] | None = None) -> bytes:
         """Pack the sidecar of a tier; `depths` (N,) are those of all Gaussians, where they are known."""
         sidecar = self.layout.sidecar(self.layout.tier_rows(tier), depths)
-        if self.layout.keeps is not None:
+        if self.layout.base is not None:
             sidecar = replace(sidecar, codes=sidecar.codes[:0])
         return pack_keyframe_sidecar(sidecar, self.layout.grid, self.coarsest) if len(sidecar.depths) else b""
 

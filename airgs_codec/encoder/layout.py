@@ -60,7 +60,7 @@ class GroupLayout:
     delta_steps: DeltaSteps
     transform: NDArray[np.float64]  # (C, C) KLT of the colours, as stored
     renderer: Renderer
-    keeps: int | None = None  # the number, from 1, of the group that its keyframe is coded against
+    base: int | None = None  # the number, from 1, of the group that its keyframe is coded against
     before: Gaussians | None = None  # N: the canonical frame of that group
 
     @property
@@ -180,7 +180,7 @@ def lay_out_again(
         score=survey.score(settings.usage)[base.rows],
         hits=survey.usage.measure("hits")[base.rows],
         sensitivity=survey.sensitivity.take(base.rows),
-        keeps=base.number,
+        base=base.number,
         before=base.keyframe,
     )
 

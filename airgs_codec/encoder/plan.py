@@ -38,7 +38,7 @@ class Plan:
     settings: EncodeSettings  # with the steps and pruning levels of the scene: nothing is left to choose in them
     views: Views
     sh_degree: int  # SH bands above it are left out
-    lined: bool  # segments have lines: what Gaussians change by, evenly, is a picture of its own
+    sloped: bool  # segments have slopes: what Gaussians change by, evenly, is a picture of its own
     run: int  # most groups of a run, whose first keyframe is chosen for all; 0: any number, it is chosen for its group
     groups: tuple[Span, ...]  # frames [start, stop) of each; of a growing sequence, of those that were there
     begins: tuple[int, ...]  # the groups that begin runs: their keyframes are coded by themselves

@@ -63,7 +63,7 @@ class EncodeReport:
         if m.rungs:
             error = max(quality.error for of_quality in m.rungs for quality in of_quality)
             measured = f"{m.views.measured} pictures; the standard error of no PSNR is above {error:.2f} dB"
-        own = sum(group.keeps is None for group in m.groups)
+        own = sum(group.base is None for group in m.groups)
         encoded = f"{len(m.groups)} groups, {own} of whose keyframes are coded by themselves"
         done = [Choice("encoding", encoded, self.encode_s), Choice("measuring", measured, self.measure_s)]
         return [*self.plan.choices, *done]

@@ -20,9 +20,9 @@ from airgs_codec.coding.atlas import (
     centre_codes,
     fit_atlas,
     from_codes,
-    line_times,
     picture_size,
     read_codes,
+    slope_times,
     to_codes,
 )
 from airgs_codec.coding.channels import (
@@ -51,7 +51,7 @@ Weights = NDArray[np.float64]
 BLOCK_ROWS = 256  # a block of an atlas
 PRESET = "fast"  # of x264, for trial encodes
 
-LEAST_LINED = 4  # frames that a line in time is tried for: its picture is one more
+LEAST_SLOPED = 4  # frames that slopes are tried for: its picture is one more
 LEAST_ERROR = 1e-12  # of pictures: below it nobody sees a difference
 RATE_OF_ERROR = 0.4  # bytes fall with this power of the error that steps make, as single-rung packages show
 
@@ -81,7 +81,7 @@ class CalibrationSample(Columns):
     row_ratio: float = field(metadata=SHARED)  # rows of the group for each of the sample
     group_frames: int = field(metadata=SHARED)  # frames of the group
     segment_frames: int = field(metadata=SHARED)  # frames of a delta segment
-    lined: bool = field(default=False, metadata=SHARED)  # whether segments have lines
+    sloped: bool = field(default=False, metadata=SHARED)  # whether segments have slopes
 
     def cost(self, steps: StepSettings, attributes: Sequence[str] = DELTA.attributes) -> Cost:
         """Estimate what coding the keyframes and deltas of these attributes costs at `steps`."""
@@ -143,23 +143,23 @@ class CalibrationSample(Columns):
         values = delta_channels([self.keyframe, *self.frames], base, steps.delta)
         return values / DELTA.steps(steps.delta, base.colour.shape[1])[:, None]
 
-    def with_line(self, deltas: NDArray[np.float64], steps: StepSettings) -> CalibrationSample:
-        """The same sample, with lines if its moving Gaussians take fewer bytes at equal error with them.
+    def with_slopes(self, deltas: NDArray[np.float64], steps: StepSettings) -> CalibrationSample:
+        """Return the sample, with slopes if its moving Gaussians take fewer bytes at equal error with them.
 
         `deltas` are those of `self.deltas`.
         """
         moving = np.flatnonzero(self.moving)
-        if len(deltas) - 1 < LEAST_LINED or not len(moving):
+        if len(deltas) - 1 < LEAST_SLOPED or not len(moving):
             return self
         weights = channel_weights(
             self.classes[moving], self.sensitivity.take(moving).by_attribute(), steps.delta, self._transform(steps)
         )
         costs, values, ones = [], deltas[1:, :, moving], np.ones(deltas.shape[1])
-        for line in (False, True):
-            sizes, decoded = encode_and_decode(values, ones, delta_codec(PRESET), line)
+        for slopes in (False, True):
+            sizes, decoded = encode_and_decode(values, ones, delta_codec(PRESET), slopes)
             error = float(withheld_error(decoded - values, weights).sum())
             costs.append(sum(sizes) * max(error, LEAST_ERROR) ** RATE_OF_ERROR)
-        return replace(self, lined=costs[1] < costs[0])
+        return replace(self, sloped=costs[1] < costs[0])
 
     def code_deltas(
         self, deltas: NDArray[np.float64], factor: float, part: slice = slice(None)
@@ -176,7 +176,7 @@ class CalibrationSample(Columns):
             return 0.0, errors
         values = deltas[1:, channels[:, None], moving]
         steps, codec = np.full(len(channels), factor), delta_codec(PRESET)
-        sizes, decoded = encode_and_decode(values, steps, codec, self.lined)
+        sizes, decoded = encode_and_decode(values, steps, codec, self.sloped)
         errors[:, channels[:, None], moving] = decoded - values
         others = float(np.mean(sizes[1:])) if len(sizes) > 1 else 0.0
         return self.row_ratio * (sizes[0] + (self.segment_frames - 1) * others) / self.segment_frames, errors
@@ -184,7 +184,7 @@ class CalibrationSample(Columns):
 
 def fit_slopes(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """(...,) what values (T, ...) of a segment rise by from its middle to its end, by least squares."""
-    times = line_times(len(values))
+    times = slope_times(len(values))
     slopes: NDArray[np.float64] = np.tensordot(times / (times @ times), values, 1)
     return slopes
 
@@ -197,16 +197,16 @@ def block_rows(rows: int, most: int) -> NDArray[np.intp]:
 
 
 def encode_and_decode(
-    values: NDArray[np.float64], steps: NDArray[np.float64], codec: CodecSettings, line: bool = False
+    values: NDArray[np.float64], steps: NDArray[np.float64], codec: CodecSettings, slopes: bool = False
 ) -> tuple[list[int], NDArray[np.float64]]:
-    """Code values as one atlas, with or without a line in time, as a trial, and decode them again.
+    """Code values as one atlas, with or without slopes, as a trial, and decode them again.
 
     (T, C, N) values, (C,) steps -> bytes of each of T pictures, escapes and slopes in the first, and the decoded
     (T, C, N).
     """
-    if line:
-        (rising,), slopes = encode_and_decode(fit_slopes(values)[None], steps, codec)
-        lines = line_times(len(values))[:, None, None] * slopes
+    if slopes:
+        (rising,), rises = encode_and_decode(fit_slopes(values)[None], steps, codec)
+        lines = slope_times(len(values))[:, None, None] * rises
         sizes, left = encode_and_decode(values - lines, steps, codec)
         return [sizes[0] + rising, *sizes[1:]], left + lines
     gain = qp_step(codec.qp)

@@ -109,7 +109,7 @@ class Subject:
             variance = np.square(deltas[1:]).mean(axis=0, keepdims=True)
             added = np.minimum(variance + LEAK * np.maximum(CODING_VARIANCE - variance, 0), CODING_VARIANCE)
             moving &= withheld_error(deltas[1:], weights) > withheld_error(np.sqrt(added), weights)
-        return replace(sample, moving=moving).with_line(deltas, settings.steps)
+        return replace(sample, moving=moving).with_slopes(deltas, settings.steps)
 
 
 def solve_steps(sample: CalibrationSample, subject: Subject) -> tuple[StepSettings, float, float]:
@@ -298,7 +298,7 @@ class Found:
     """What a scene asks for."""
 
     settings: EncodeSettings  # nothing is left to choose in them
-    lined: bool  # segments have lines
+    sloped: bool  # segments have slopes
     saved: float  # bytes a frame of the top level that the steps save at equal error, by the slopes of the trials
 
 
@@ -325,4 +325,4 @@ def find_steps(frames: Frames, survey: Survey, views: Views, settings: EncodeSet
         levels = choose_levels(top, subject, steps, price) if shares else (LevelSettings(0.0),)
         factors = keyframe_factors() if shares else (1.0,)
         chosen = replace(chosen, levels=levels, tiers=TIERS, keyframe_factors=factors, shares=shares)
-    return Found(chosen.at(settings.quality), sample.lined, saved)
+    return Found(chosen.at(settings.quality), sample.sloped, saved)

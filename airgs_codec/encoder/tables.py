@@ -53,7 +53,7 @@ class GroupFiles:
 
 def finish_group(keyframe: CodedKeyframe, deltas: CodedDeltas, first_segment: int) -> GroupFiles:
     """Make the table and the files of a group; `first_segment`: how many segments the groups before it have."""
-    layout, channels = keyframe.layout, KEYFRAME if keyframe.layout.keeps is None else DELTA
+    layout, channels = keyframe.layout, KEYFRAME if keyframe.layout.base is None else DELTA
     files: dict[str, bytes] = {}
 
     def written(path: str, data: bytes) -> FileEntry:
@@ -81,7 +81,7 @@ def finish_group(keyframe: CodedKeyframe, deltas: CodedDeltas, first_segment: in
                 continue
             gop = next(gops)
             file = written(delta_media_path(j, first_segment + place + 1), gop.media(escaped))
-            segment.levels.append(SegmentLevel(file, gop.picture_bytes, [], [], True if level.lines[place] else None))
+            segment.levels.append(SegmentLevel(file, gop.picture_bytes, [], [], True if level.slopes[place] else None))
     table = Group(
         start=layout.span[0],
         stop=layout.span[1],
@@ -100,7 +100,7 @@ def finish_group(keyframe: CodedKeyframe, deltas: CodedDeltas, first_segment: in
         segments=segments,
         left_out=[*keyframe.left_out, *deltas.left_out],
         repairs=[*layout.notes, *deltas.notes],
-        keeps=layout.keeps,
+        base=layout.base,
     )
     return GroupFiles(table, files)
 
@@ -111,7 +111,7 @@ def build_manifest(
     """Make the tables of a package of these groups, without measured quality, and the files that are no group's."""
     settings, views, clock = plan.settings, plan.views, Clock.of(sequence.fps)
     shared = {INIT_NAME: init_segment(clock.timescale, *largest_picture(groups)), POSTER_NAME: poster}
-    decisions, differing = list(plan.notes), sum(group.keeps is not None for group in groups)
+    decisions, differing = list(plan.notes), sum(group.base is not None for group in groups)
     if differing:
         decisions.append(f"{differing} of {len(groups)} keyframes are coded as what differs from an earlier one")
     manifest = Manifest(

@@ -191,13 +191,13 @@ def _keyframes(
     package: Package, index: int, group: Group, base: Canonical, original: Gaussians, sure: NDArray[np.bool_]
 ) -> Iterator[Measured]:
     m = package.manifest
-    layout, keeps, known = keyframe_layout(group), m.base_of(index), sure
+    layout, against, known = keyframe_layout(group), m.base_of(index), sure
     for q, quality in enumerate(m.qualities):
-        if keeps is None:
+        if against is None:
             values = keyframe_channels(original, base.transform, group.keyframe_steps, group.grid.unit)
         else:
-            kept = decode_canonical(package, keeps, q)
-            values, drawn = frame_channels(original, kept, group.difference_steps)
+            other = decode_canonical(package, against, q)
+            values, drawn = frame_channels(original, other, group.difference_steps)
             known = sure & drawn  # others differ by nothing
         first = 0
         for t, tier in enumerate(group.tiers):

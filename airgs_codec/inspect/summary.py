@@ -48,7 +48,7 @@ QUALITY: Columns = {
 GAUSSIANS: Columns = {"gaussians": ("Gaussians", span)}
 STEPS: Columns = {"factor": ("steps", "x{:g}".format)}
 GROUPS: Columns = {
-    "group": ("group", ""), "frames": ("frames", ""), "gaussians": ("Gaussians", "d"), "keeps": ("keeps", ""),
+    "group": ("group", ""), "frames": ("frames", ""), "gaussians": ("Gaussians", "d"), "base": ("base", ""),
     "static": ("static", "d"), "segments": ("segments", ""),
 }  # fmt: skip
 KEYFRAMES: Columns = {"tier": ("keyframe tier", ""), "quality": ("quality", "")} | GAUSSIANS | STEPS | BYTES
@@ -62,7 +62,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> Row:
     """Return the figures of a package whose tables and manifest.mpd have `manifest_bytes` together, as plain values.
 
     Of a group: `frames` [start, stop), `gaussians` that are written, `static` ones of them that no level carries,
-    `unused` ones that no view uses and are not written, and `keeps`, the earlier group, from 1, that its keyframe is a
+    `unused` ones that no view uses and are not written, and `base`, the earlier group, from 1, that its keyframe is a
     difference to. Of a keyframe tier in one quality and of a level: `gaussians`, the fewest and most of a group,
     `factor` of the quantiser steps, `pruned`, the share of moving rows. Of a rung, keyframe quality by keyframe
     quality: everything that its viewer fetches; quality over all pictures, None where it was not measured; whether
@@ -82,7 +82,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> Row:
         "views": dataclasses.asdict(m.views),
         "groups": [
             {"frames": [g.start, g.stop], "gaussians": g.count, "static": g.static, "unused": g.unused}
-            | {"segments": len(g.segments), "keeps": g.keeps}
+            | {"segments": len(g.segments), "base": g.base}
             for g in m.groups
         ],
         "keyframes": [_keyframe(m, t, q) for t in range(m.tiers) for q in range(len(m.qualities))],
@@ -201,7 +201,7 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
     s = summarise(m, manifest_bytes)
     kinds = [f"{kind} {kilobytes(size / m.frames)}" for kind, size in s["top_rung_bytes"].items()]
     groups = [
-        g | {"group": i, "frames": f"{g['frames'][0]}-{g['frames'][1] - 1}", "keeps": g["keeps"] or ""}
+        g | {"group": i, "frames": f"{g['frames'][0]}-{g['frames'][1] - 1}", "base": g["base"] or ""}
         for i, g in enumerate(s["groups"])
     ]
     if len(groups) > MOST_GROUPS:

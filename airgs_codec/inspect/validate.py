@@ -179,21 +179,21 @@ def _decode_keyframe(package: Package, group: int, quality: int) -> None:
 def _decode_delta(package: Package, index: int, level: int, base: Canonical) -> None:
     m = package.manifest
     segment = m.segments[index]
-    length, lined = segment.stop - segment.start, bool(segment.levels[level].line)
+    length, sloped = segment.stop - segment.start, bool(segment.levels[level].slopes)
     for media in m.delta_files(index, level):
         with np.errstate(all="ignore"):
             for frame in decode_segment(package, index, base, level, range(length)):
                 _expect_finite(frame, media)
         atlas = m.groups[m.group_of(index)].levels[level]
-        _expect_pictures(package, media, atlas, length, lined)
-        check_segment(package.read(media), media, segment.start * m.frame_ticks, m.frame_ticks, atlas.pages, lined)
+        _expect_pictures(package, media, atlas, length, sloped)
+        check_segment(package.read(media), media, segment.start * m.frame_ticks, m.frame_ticks, atlas.pages, sloped)
 
 
-def _expect_pictures(package: Package, media: str, atlas: Atlas, count: int, lined: bool) -> None:
+def _expect_pictures(package: Package, media: str, atlas: Atlas, count: int, sloped: bool) -> None:
     _, pictures = open_segment(package.read(media), media, atlas.pages)
-    inside = [in_range(picture) for picture in (itertools.chain(*pictures.cut()) if lined else pictures)]
-    if len(inside) != count + lined:
-        raise FormatError("bad_picture", media, f"expected {count + lined} pictures, got {len(inside)}")
+    inside = [in_range(picture) for picture in (itertools.chain(*pictures.cut()) if sloped else pictures)]
+    if len(inside) != count + sloped:
+        raise FormatError("bad_picture", media, f"expected {count + sloped} pictures, got {len(inside)}")
     if not all(inside):
         where = f"picture {inside.index(False)}"
         raise FormatError("bad_picture", media, f"expected luma of {DARKEST} to {BRIGHTEST}, {where} has other samples")

@@ -169,4 +169,4 @@ KEYFRAME, DELTA = Layout("keyframe", _RUNS[1:]), Layout("delta", _RUNS)  # canon
 
 def keyframe_layout(group: Group) -> Layout:
     """Return the channels of the keyframe pictures of a group: those of a delta where it is coded against a base."""
-    return KEYFRAME if group.keeps is None else DELTA
+    return KEYFRAME if group.base is None else DELTA

@@ -282,10 +282,10 @@ class Manifest(Header):
         table raises.
         """
         table = self.groups[group]
-        if table.keeps is None:
+        if table.base is None:
             return None
-        check_base(table, self.groups[table.keeps - 1], group_path(group + 1))
-        return table.keeps - 1
+        check_base(table, self.groups[table.base - 1], group_path(group + 1))
+        return table.base - 1
 
     def delta_files(self, segment: int, level: int) -> list[str]:
         there = self.segments[segment].levels[level].file.bytes > 0

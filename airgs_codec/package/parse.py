@@ -76,8 +76,8 @@ def parse_group(data: bytes, header: Header, entry: Entry, number: int) -> Group
     where = group_path(number + 1)
     group: Group = _parse(Group, _load(inflate(data, where), where), where)
     check_group(header, entry, group, where)
-    early = group.keeps is None or group.keeps <= number
-    expect(early, f"{where}.keeps", f"expected a group before {number + 1}, got {group.keeps}")
+    early = group.base is None or group.base <= number
+    expect(early, f"{where}.base", f"expected a group before {number + 1}, got {group.base}")
     return group
 
 
@@ -293,15 +293,15 @@ def check_group(m: Header, entry: Entry, group: Group, where: str) -> None:
 
 
 def check_base(group: Group, base: Group, where: str) -> None:
-    """Raise FormatError (bad_value) unless `base`, whose rows a group keeps, keeps none and is laid out alike."""
-    words = f"expected a group that keeps none, got {group.keeps}, which keeps {base.keeps}"
-    expect(base.keeps is None, f"{where}.keeps", words)
+    """Raise FormatError (bad_value) unless `base`, the base of a group, has none itself and equal tiers and grid."""
+    words = f"expected a base without a base, got {group.base}, whose base is {base.base}"
+    expect(base.base is None, f"{where}.base", words)
     alike = [
         (g.grid, g.keyframe_steps, g.colour_transform, [(tier.count, tier.factor) for tier in g.tiers])
         for g in (group, base)
     ]
-    words = f"expected a group of equal tiers, grid, keyframe_steps and colours, got {group.keeps}"
-    expect(alike[0] == alike[1], f"{where}.keeps", words)
+    words = f"expected a group of equal tiers, grid, keyframe_steps and colours, got {group.base}"
+    expect(alike[0] == alike[1], f"{where}.base", words)
 
 
 def _check_region(region: Region, where: str) -> None:
@@ -391,7 +391,7 @@ def _group_bounds(m: Header, group: Group) -> Iterator[Bound]:
     yield "grid.step", group.grid.unit, 1 / MOST_NUMBER, MOST_NUMBER
     for t, tier in enumerate(group.tiers):
         for q, atlas in enumerate(tier.qualities):
-            where, same = f"tiers[{t}].qualities[{q}]", group.keeps is not None and not atlas.rows
+            where, same = f"tiers[{t}].qualities[{q}]", group.base is not None and not atlas.rows
             yield f"{where}.rows", atlas.rows, 0 if same else tier.count, tier.count
             yield f"len({where}.planes)", len(atlas.planes), min(1, atlas.rows), layout.width(m.colour_channels)
             yield from _atlas_bounds(where, atlas, layout, m.colour_channels)
@@ -431,4 +431,4 @@ def _check_segment(m: Header, group: Group, segment: Segment, where: str) -> Non
             got = len(getattr(level, name))
             expect(got == expected, f"{here}.{name}", f"expected {expected} values, got {got}")
         frames = len(level.frame_bytes)
-        expect(not level.line or frames > 1, f"{here}.line", f"expected at least 2 frames, got {frames}")
+        expect(not level.slopes or frames > 1, f"{here}.slopes", f"expected at least 2 frames, got {frames}")

@@ -267,7 +267,7 @@ class GroupTier:
     count: Count  # rows; a tier without rows has no files
     factor: Factor  # on the keyframe steps, beside that of the keyframe quality
     sidecar: FileEntry  # shared by all its qualities
-    qualities: list[Atlas]  # of no rows where nothing differs from the group `keeps`
+    qualities: list[Atlas]  # of no rows where nothing differs from the group `base`
     pictures: list[FileEntry]  # the picture in each quality; none of no rows
 
 
@@ -279,7 +279,7 @@ class SegmentLevel:
     frame_bytes: list[PictureBytes]  # H.264 bytes of each frame, the first with the slopes; empty without a file
     psnr: list[Decibels]  # for each keyframe quality; empty: not measured
     delta_e: list[Annotated[float, Range(0, MAX_DELTA_E)]]  # CIEDE2000 for each keyframe quality
-    line: bool | None = None  # whether its file begins with slopes; None, and no such field: it does not
+    slopes: bool | None = None  # whether its file begins with slopes; None, and no such field: it does not
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,7 +319,7 @@ class Group:
     segments: Annotated[list[Segment], Length(1, MAX_FRAMES)]
     left_out: list[LeftOut]
     repairs: list[str]  # what was repaired in the input before coding
-    keeps: Annotated[int, Range(1, MAX_FRAMES)] | None = (
+    base: Annotated[int, Range(1, MAX_FRAMES)] | None = (
         None  # an earlier group, from 1, that keyframes are differences to
     )
     sound: FileEntry | None = None  # of its frames; None in a package without sound

@@ -68,10 +68,10 @@ class TableStore:
         yield from groups.places.pages_to("segments", segment)
         group = groups.places.at_segment(segment)
         yield group_path(group + 1)
-        keeps = groups[group].keeps
-        if keeps is not None:
-            yield from groups.places.pages_to("groups", keeps - 1)
-            yield group_path(keeps)
+        base = groups[group].base
+        if base is not None:
+            yield from groups.places.pages_to("groups", base - 1)
+            yield group_path(base)
 
 
 def _is_past(path: str, before: SegmentOffer) -> bool:

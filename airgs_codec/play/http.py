@@ -476,13 +476,13 @@ class RemoteTables:
 
     def _check_base(self, m: Manifest, group: int) -> None:
         """Parse a group's table and check it against its base, whichever came first. Raises FormatError."""
-        keeps = m.groups[group].keeps
+        base = m.groups[group].base
         for number in self._keepers.get(group, ()):
             m.base_of(number)
-        if keeps is not None:
-            if group_path(keeps) in self._files:
+        if base is not None:
+            if group_path(base) in self._files:
                 m.base_of(group)
-            self._keepers.setdefault(keeps - 1, set()).add(group)
+            self._keepers.setdefault(base - 1, set()).add(group)
 
 
 def _find(tables: Mapping[str, tuple[FileEntry, bytes]], path: str, entry: FileEntry) -> bytes:

@@ -1,4 +1,4 @@
-"""Deltas: what is coded of them, where lines in time pay, and pictures that every decoder leaves alone."""
+"""Deltas: what is coded of them, where slopes pay, and pictures that every decoder leaves alone."""
 
 from dataclasses import fields, replace
 from fractions import Fraction
@@ -111,52 +111,52 @@ def test_rows_that_are_not_drawn_are_hidden_by_bases_and_others_are_as_they_were
 
 
 @pytest.fixture(scope="module")
-def lined(package_of):
-    return open_package(package_of("lines"))
+def sloped(package_of):
+    return open_package(package_of("slopes"))
 
 
-def test_lines_of_segments_have_their_picture_in_front_and_segments_of_few_frames_have_none(lined):
-    m = lined.manifest
-    lines = [[level.line for level in segment.levels] for segment in list(m.segments)[:4]]
+def test_lines_of_segments_have_their_picture_in_front_and_segments_of_few_frames_have_none(sloped):
+    m = sloped.manifest
+    lines = [[level.slopes for level in segment.levels] for segment in list(m.segments)[:4]]
     assert lines == [[True, True], [True, True], [None, None], [True, True]]
     assert m.segments[3].levels[0].file.bytes
     (path,) = m.delta_files(0, 0)
-    found, segment = mp4.read_segment(lined.read(path)), m.segments[0].levels[0]
+    found, segment = mp4.read_segment(sloped.read(path)), m.segments[0].levels[0]
     assert len(found.samples) == len(found.checksums) == SEGMENT + 1
     assert len(segment.frame_bytes) == SEGMENT and segment.frame_bytes[0] > len(found.samples[0]) // 2
 
 
 def test_every_error_is_within_its_bound_and_segments_of_one_frame_have_files_and_no_line(package_of):
     measured = {}
-    for name in ("lines", "few"):
+    for name in ("slopes", "few"):
         package = open_package(package_of(name))
         assert faces.validate(package.files.path) == []
         measured[name] = list(measure_errors(package, PACKAGES[name].scene()))
         assert all(m.error <= m.bound for m in measured[name]), [m for m in measured[name] if m.error > m.bound]
-    assert max(m.error / m.bound for m in measured["lines"] if "delta" in m.where and m.bound) > 0.5
+    assert max(m.error / m.bound for m in measured["slopes"] if "delta" in m.where and m.bound) > 0.5
     segments = package.manifest.segments
-    assert [segment.levels[0].line for segment in segments] == [None] * 19
+    assert [segment.levels[0].slopes for segment in segments] == [None] * 19
     sent = [s for s, segment in enumerate(segments) if segment.levels[0].file.bytes]
     assert len(sent) > 2 and decode_slopes(package, sent[-1], 0) is None
 
 
-def test_frames_that_are_read_alone_are_those_of_a_whole_segment_and_slopes_are_what_rows_rise_by(lined):
-    whole = [frame.gaussians for frame in decode_frames(lined, 0, 17)]
+def test_frames_that_are_read_alone_are_those_of_a_whole_segment_and_slopes_are_what_rows_rise_by(sloped):
+    whole = [frame.gaussians for frame in decode_frames(sloped, 0, 17)]
     for number in (0, 5, 7, 8, 12, 16):
-        alone = decode(lined, number)
+        alone = decode(sloped, number)
         for name in alone.__slots__:
             np.testing.assert_array_equal(getattr(alone, name), getattr(whole[number], name))
-    codes = np.stack([shown.codes() for shown in faces.decode_pictures(lined, 0, 0, range(SEGMENT))])
-    slopes, gain = decode_slopes(lined, 0, 0), lined.manifest.delta_gain
+    codes = np.stack([shown.codes() for shown in faces.decode_pictures(sloped, 0, 0, range(SEGMENT))])
+    slopes, gain = decode_slopes(sloped, 0, 0), sloped.manifest.delta_gain
     assert np.ptp(slopes[:3], axis=1).max() > 20 * gain  # of means, some past 8 bits
     left = sample.fit_slopes(codes[:, :3].astype(np.float64))
     assert np.abs(left).mean() < gain / 2 < np.abs(slopes[:3]).mean()
 
 
-def test_a_row_that_jumps_far_and_back_is_escaped_not_clipped(lined):
-    frames, shown = PACKAGES["lines"].groups()[3], [f.gaussians.means for f in decode_frames(lined, 25, 30)]
+def test_a_row_that_jumps_far_and_back_is_escaped_not_clipped(sloped):
+    frames, shown = PACKAGES["slopes"].groups()[3], [f.gaussians.means for f in decode_frames(sloped, 25, 30)]
     far = int(np.argmax(shown[3][:, 0]))
-    most = 3 * lined.manifest.groups[3].delta_steps.means * decode_canonical(lined, 3, 0).motion_units[far]
+    most = 3 * sloped.manifest.groups[3].delta_steps.means * decode_canonical(sloped, 3, 0).motion_units[far]
     for t in (3, 2):
         assert np.abs(shown[t][far] - frames[t].means[11]).max() <= most
 
@@ -165,16 +165,16 @@ def test_a_plan_has_lines_where_they_save_bytes():
     """Where everything moves evenly, and not where it shakes or is shown for a moment."""
     first, rng, settings = random_gaussians(600), np.random.default_rng(0), replace(SETTINGS, calibrate="steps")
     rise, shake = rng.normal(size=(600, 3)) * 0.02, rng.normal(size=(8, 600, 3)) * 0.05
-    for moves, lined in (([t * rise for t in range(8)], True), (shake, False), ([t * rise for t in range(3)], False)):
+    for moves, sloped in (([t * rise for t in range(8)], True), (shake, False), ([t * rise for t in range(3)], False)):
         frames = [replace(first, means=(first.means + way).astype(np.float32)) for way in moves]
         sequence = faces.GaussianSequence.from_arrays(frames, cameras=faces.orbit_views(first, count=4, size=64))
-        assert faces.decide(sequence, replace(settings, segment_s=1.0)).lined == lined
+        assert faces.decide(sequence, replace(settings, segment_s=1.0)).sloped == sloped
 
 
 def test_a_line_is_coded_with_the_frames_that_it_leaves():
     rng = np.random.default_rng(0)
-    even = rng.normal(size=(3, 512)) * 30 + atlas.line_times(12)[:, None, None] * rng.normal(size=(3, 512)) * 20
-    sizes, decoded = sample.encode_and_decode(even, np.ones(3), h264.delta_codec("fast"), line=True)
+    even = rng.normal(size=(3, 512)) * 30 + atlas.slope_times(12)[:, None, None] * rng.normal(size=(3, 512)) * 20
+    sizes, decoded = sample.encode_and_decode(even, np.ones(3), h264.delta_codec("fast"), slopes=True)
     assert len(sizes) == 12 and np.abs(decoded - even).max() < 4
 
 

@@ -32,7 +32,7 @@ def unchanged(one, other):
 
 def test_such_a_package_is_valid_keeps_its_promises_and_costs_only_what_differs(package):
     m = package.manifest
-    assert [group.keeps for group in m.groups] == [None, None, 2, 2, None, 5, 5, 5, None, 9, None, 11]
+    assert [group.base for group in m.groups] == [None, None, 2, 2, None, 5, 5, 5, None, 9, None, 11]
     assert "7 of 12 keyframes are coded as what differs from an earlier one" in m.decisions
     assert validate(package.files.path) == []
     assert faces.exceeded(faces.measure_errors(package, PACKAGES["keyframes"].scene())) == []
@@ -60,7 +60,7 @@ def test_what_stands_still_is_that_of_the_base_and_a_viewer_with_fewer_tiers_has
 def test_a_base_that_cannot_be_one_is_refused(package):
     first, second = package.manifest.groups[4:6]
     for wrong in (
-        {"keeps": 1}, {"tiers": [replace(t, count=1) for t in first.tiers]}, {"colour_transform": ""},
+        {"base": 1}, {"tiers": [replace(t, count=1) for t in first.tiers]}, {"colour_transform": ""},
         {"tiers": [replace(t, factor=2 * t.factor) for t in first.tiers]}, {"grid": replace(first.grid, finest=9)},
         {"keyframe_steps": replace(first.keyframe_steps, opacity=1.0)},
     ):  # fmt: skip
@@ -92,16 +92,16 @@ def test_a_base_that_knew_of_no_open_door_is_none():
     """Where groups come one by one, the second is coded by itself if the first had no word of it."""
     sequence = faces.GaussianSequence.from_arrays([room_behind_a_door(1500, is_open) for is_open in (False, True)])
     plan = faces.decide(sequence, replace(KEPT_KEYFRAMES, group_frames=1))
-    for run, keeps in ((plan.run, 1), (0, None)):
+    for run, base in ((plan.run, 1), (0, None)):
         first, second = replace(plan, run=run).frames(sequence)
-        assert faces.encode_group(second, plan, faces.encode_group(first, plan)[1])[0].table.keeps == keeps
+        assert faces.encode_group(second, plan, faces.encode_group(first, plan)[1])[0].table.base == base
 
 
 def test_the_first_keyframe_of_a_run_has_rows_that_any_of_its_groups_needs(package, package_of):
     """The mover of a room is not there at first, nor is what a shut door hides."""
     away, there, shut, open_, alone = open_package(package_of("rows")).manifest.groups
-    assert there.keeps == 1 and away.count == there.count > alone.count
-    assert open_.keeps == 3 and open_.count == shut.count
+    assert there.base == 1 and away.count == there.count > alone.count
+    assert open_.base == 3 and open_.count == shut.count
     sequence, settings = PACKAGES["rows"].scene(), PACKAGES["rows"].settings
     plan = faces.decide(sequence, settings)
     assert faces.encode_group(replace(plan, run=0).frames(sequence)[2], plan)[0].table.count < shut.count

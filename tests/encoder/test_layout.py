@@ -72,7 +72,7 @@ def test_levels_of_one_tier_do_with_the_first_tier(package_of):
     package = open_package(package_of("drift"))
     m = package.manifest
     assert faces.validate(package.files.path) == []
-    assert {group.keeps for group in m.groups} == {None}  # each is coded by itself, as was asked for
+    assert {group.base for group in m.groups} == {None}  # each is coded by itself, as was asked for
     assert not any("differs" in line for line in m.decisions)
     assert [level.tiers for level in m.levels] == [2, 2, 1, 1]
     second = [any(path.startswith("keyframe/T1") for path in m.rung_files(0, level)) for level in (1, 3)]

@@ -55,7 +55,7 @@ def test_groups_are_published_as_their_frames_appear(tmp_path):
         assert m.live and m.frames == published.group.stop and len(m.groups) == published.number
         assert validate(out) == []
         assert all(len(level.psnr) == 2 for segment in m.segments for level in segment.levels)
-    assert spans == [(0, 3), (3, 6), (6, 8)] and [group.keeps for group in m.groups] == [None, 1, 1]
+    assert spans == [(0, 3), (3, 6), (6, 8)] and [group.base for group in m.groups] == [None, 1, 1]
     assert not open_package(out).manifest.live and validate(out) == []
     assert {path.name for path in tmp_path.iterdir()} == {"scene", "out"}
 
@@ -65,7 +65,7 @@ def test_with_the_plan_of_the_whole_it_holds_what_encoding_at_once_does(tmp_path
     scene = write_sequence(tmp_path / "scene", FRAMES)
     settings = replace(SETTINGS, keyframes=keyframes)
     once = faces.encode(scene, tmp_path / "once", settings)
-    assert [group.keeps for group in once.manifest.groups] == ([None, 1, 1] if keyframes == faces.INTER else [None] * 3)
+    assert [group.base for group in once.manifest.groups] == ([None, 1, 1] if keyframes == faces.INTER else [None] * 3)
     _, grown = followed(tmp_path, FRAMES, settings, plan=once.plan)
     for path in (path for group in range(3) for path in once.manifest.group_files(group)):
         assert once.manifest.entry(path) == grown.manifest.entry(path)
@@ -86,7 +86,7 @@ def test_a_base_has_rows_of_groups_before_it_if_these_have_the_same_rows(tmp_pat
         logits[slice(10, 20) if t // 3 % 2 else slice(10)] = -20.0
         turns.append(replace(FRAMES[0].take(np.arange(140)), opacity_logits=logits))
     _, grown = followed(tmp_path, [*FRAMES[:4], more, FRAMES[2], *others, *turns], SETTINGS)
-    assert [group.keeps for group in grown.manifest.groups] == [None, None, None, 3, None, None, 6, 6]
+    assert [group.base for group in grown.manifest.groups] == [None, None, None, 3, None, None, 6, 6]
 
 
 def test_an_error_leaves_the_groups_that_were_whole_closes_the_package_and_without_a_frame_there_is_none(tmp_path):

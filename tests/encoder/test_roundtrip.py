@@ -102,7 +102,7 @@ def test_keyframe_codes_are_within_the_codecs_error_and_means_within_half_a_cell
         assert factors[0] < 1 < factors[1]
         steps = np.outer(faces.KEYFRAME.steps(group.keyframe_steps, m.colour_channels), np.repeat(factors, counts))
         for q, quality in enumerate(m.qualities):
-            if group.keeps is None:
+            if group.base is None:
                 codes = np.concatenate([faces.decode_keyframe(fox, g, t, q)[0] for t in range(2)], axis=1)
                 error = codes / m.keyframe_gain - layout.keyframe_values() / (steps * quality.factor)
                 assert np.abs(error).max() <= 2.5 and np.sqrt(np.mean(error**2)) <= 0.5

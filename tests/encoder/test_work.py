@@ -36,7 +36,7 @@ def expected(scene, made_once):
 
     def make(folder):
         report = encode(scene, folder, SETTINGS)
-        assert [group.keeps for group in report.manifest.groups] == [None, None, 2]
+        assert [group.base for group in report.manifest.groups] == [None, None, 2]
         assert report.plan.groups == ((0, 4), (4, 8), (8, 12)) and report.plan.begins == (0, 1)
         assert not validate(folder)
 

@@ -50,8 +50,8 @@ def test_rates_and_bytes_of_levels_rungs_and_kinds_count_everything_a_viewer_fet
 
 
 def test_rows_that_a_group_keeps_are_counted():
-    m = faces.open_package(VALID / "kept").manifest
-    assert [group["keeps"] for group in summarise(m, MANIFESTS)["groups"]] == [None, 1, 1]
+    m = faces.open_package(VALID / "inter").manifest
+    assert [group["base"] for group in summarise(m, MANIFESTS)["groups"]] == [None, 1, 1]
 
 
 def test_the_viewing_region_is_told_in_figures_and_words():

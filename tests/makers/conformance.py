@@ -49,8 +49,8 @@ ONE_KEYFRAME = replace(WHOLE, keyframe_factors=(1.0,))
 KEEPING = replace(WHOLE, keyframes=INTER, group_frames=2, keep_all=True, region=BALL, measure_pictures=2)
 PACKAGES = {
     "moving": (frames(64, 0, 4), COARSE),
-    "kept": (room_frames(60, 6), KEEPING),
-    "lined": (drifting(80, 6), COARSE),
+    "inter": (room_frames(60, 6), KEEPING),
+    "slopes": (drifting(80, 6), COARSE),
     "one-gaussian": (frames(1, 1, 1), ONE_KEYFRAME),
     "paged": (frames(4, 0, 65), replace(ONE_KEYFRAME, group_frames=1, tiers=(1.0,), measure_pictures=0)),
     "placed": (frames(2, 0, 1), replace(ONE_KEYFRAME, world=faces.world_from((0, 0, 1), 0.01))),

@@ -34,7 +34,7 @@ KEYFRAME_SIDECAR, KEYFRAME_PICTURE, TABLE, PAGE_TABLE = (
     "group/1.json.gz",
     "index/1/1.json",
 )
-KEPT_SIDECAR, KEPT_TABLE, LAST_TABLE, DELTAS = (
+INTER_SIDECAR, INTER_TABLE, LAST_TABLE, DELTAS = (
     "keyframe/T0/2.bin",
     "group/2.json.gz",
     "group/3.json.gz",
@@ -57,10 +57,10 @@ def without_moving_rows(files: Files) -> Files:
     return files | {KEYFRAME_SIDECAR: pack_keyframe_sidecar(still, grid, coarsest)}
 
 
-def kept_sidecar(files: Files) -> Files:
+def inter_sidecar(files: Files) -> Files:
     """Give all rows of the second group, which keeps those of the first, the depth 255."""
-    count = parse_table(files[KEPT_TABLE])["tiers"][0]["count"]
-    return files | {KEPT_SIDECAR: encode_columns([(np.full(count, 256), 1)])}
+    count = parse_table(files[INTER_TABLE])["tiers"][0]["count"]
+    return files | {INTER_SIDECAR: encode_columns([(np.full(count, 256), 1)])}
 
 
 def flip(data: bytes, at: int = -1) -> bytes:
@@ -143,30 +143,34 @@ BREAKS: dict[str, tuple[mutations.Mutation, ...]] = {  # reason, and what about 
     "bad_value-page-level": (raised,),
     "bad_value-page-short": (shortened,),
     "bad_value-group": in_table(set_value(("start",), 1, TABLE)),
-    "wrong_type-line": in_table(set_value((*LEVEL, "line"), 1, TABLE)),
-    "bad_value-line-none": in_table(
+    "wrong_type-slopes-flag": in_table(set_value((*LEVEL, "slopes"), 1, TABLE)),
+    "bad_value-slopes-flag-none": in_table(
         set_value((*LEVEL, "file"), NONE, TABLE), set_value((*LEVEL, "frame_bytes"), [], TABLE), remove_file(DELTAS)
     ),
-    "bad_picture-line": (drop_value((*LEVEL, "line"), TABLE), rewrite(DELTAS, lambda b: with_columns(b, b"")), honest),
-    "bad_sidecar-line": in_table(drop_value((*LEVEL, "line"), TABLE)),
-    "bad_sidecar-slopes": in_table(set_value((*LEVEL, "line"), True, TABLE)),
+    "bad_picture-slopes-flag": (
+        drop_value((*LEVEL, "slopes"), TABLE),
+        rewrite(DELTAS, lambda b: with_columns(b, b"")),
+        honest,
+    ),
+    "bad_sidecar-slopes-flag": in_table(drop_value((*LEVEL, "slopes"), TABLE)),
+    "bad_sidecar-slopes": in_table(set_value((*LEVEL, "slopes"), True, TABLE)),
     "bad_value-rungs": (set_value(("rungs", 0), []),),
     "bad_value-tiers": (set_value(("tiers",), 3),),
     "bad_value-levels": in_table(set_value(("levels",), [], TABLE)),
     "bad_value-frame-bytes": in_table(set_value((*LEVEL, "frame_bytes"), [], TABLE)),
     "bad_value-segments": in_table(set_value(("segments", 0, "stop"), 3, TABLE)),
     "bad_value-page-sum": (set_value(("frames", 0), 2, PAGE_TABLE), repaged),
-    "bad_value-keeps": in_table(set_value(("keeps",), 2, KEPT_TABLE)),
-    "bad_value-keeps-chain": in_table(set_value(("keeps",), 2, LAST_TABLE)),
-    "bad_value-keeps-grid": in_table(set_value(("grid", "step"), 0.5, KEPT_TABLE)),
-    "bad_value-keeps-steps": in_table(set_value(("keyframe_steps", "opacity"), 0.5, KEPT_TABLE)),
-    "bad_value-keeps-transform": in_table(set_value(("colour_transform",), "AAAAAAAAAAAAAAAAAAAAAAAA", KEPT_TABLE)),
-    "bad_value-keeps-finest": in_table(set_value(("grid", "finest"), 148, KEPT_TABLE)),
-    "bad_value-keeps-factor": in_table(set_value(("tiers", 0, "factor"), 2.5, KEPT_TABLE)),
-    "bad_value-keeps-rows": in_table(set_value(("tiers", 0, "qualities", 0, "rows"), 1, KEPT_TABLE)),
-    "missing_entry-keeps": in_table(set_value(("tiers", 0, "pictures", 0), NONE, KEPT_TABLE)),
-    "bad_sidecar-kept": (kept_sidecar, honest),
-    "bad_sidecar-kept-positions": (lambda files: files | {KEPT_SIDECAR: files[KEYFRAME_SIDECAR]}, honest),
+    "bad_value-base": in_table(set_value(("base",), 2, INTER_TABLE)),
+    "bad_value-base-chain": in_table(set_value(("base",), 2, LAST_TABLE)),
+    "bad_value-base-grid": in_table(set_value(("grid", "step"), 0.5, INTER_TABLE)),
+    "bad_value-base-steps": in_table(set_value(("keyframe_steps", "opacity"), 0.5, INTER_TABLE)),
+    "bad_value-base-transform": in_table(set_value(("colour_transform",), "AAAAAAAAAAAAAAAAAAAAAAAA", INTER_TABLE)),
+    "bad_value-base-finest": in_table(set_value(("grid", "finest"), 148, INTER_TABLE)),
+    "bad_value-base-factor": in_table(set_value(("tiers", 0, "factor"), 2.5, INTER_TABLE)),
+    "bad_value-base-rows": in_table(set_value(("tiers", 0, "qualities", 0, "rows"), 1, INTER_TABLE)),
+    "missing_entry-base": in_table(set_value(("tiers", 0, "pictures", 0), NONE, INTER_TABLE)),
+    "bad_sidecar-inter": (inter_sidecar, honest),
+    "bad_sidecar-inter-positions": (lambda files: files | {INTER_SIDECAR: files[KEYFRAME_SIDECAR]}, honest),
     "unsafe_path": (mutations.link_file(KEYFRAME_SIDECAR, "Q0/1.m4s"),),
     "missing_entry": in_table(set_value(("tiers", 0, "pictures", 0), NONE, TABLE), remove_file(KEYFRAME_PICTURE)),
     "missing_file": (remove_file(KEYFRAME_PICTURE),),
@@ -204,9 +208,15 @@ BREAKS: dict[str, tuple[mutations.Mutation, ...]] = {  # reason, and what about 
 def source_of(name: str) -> str:
     if "sound" in name:
         return "sound"
-    if "-line" in name:
-        return "lined"
-    return "paged" if "-page" in name else "kept" if "-ke" in name or "slopes" in name else "moving"
+    if "-slopes-flag" in name:
+        return "slopes"
+    return (
+        "paged"
+        if "-page" in name
+        else "inter"
+        if "-base" in name or "-inter" in name or name == "bad_sidecar-slopes"
+        else "moving"
+    )
 
 
 def changes(name: str) -> dict[str, dict[str, Any] | None]:

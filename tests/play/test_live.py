@@ -56,10 +56,10 @@ def test_a_session_begins_with_the_newest_group_and_ends_with_the_package(tmp_pa
 
 def test_who_joins_late_fetches_the_base_of_the_newest_group_once(tmp_path):
     """Groups 2 and 3 keep rows of group 1, which is over."""
-    log = play_growing(Growing(tmp_path / "p", 2, 3, 0, whole=VALID / "kept"))
-    m = open_package(VALID / "kept").manifest
+    log = play_growing(Growing(tmp_path / "p", 2, 3, 0, whole=VALID / "inter"))
+    m = open_package(VALID / "inter").manifest
     assert [s.segment for s in log.shown] == [1, 2] and all(s.rung == 0 for s in log.shown)
-    assert [g.keeps for g in m.groups] == [None, 1, 1]
+    assert [g.base for g in m.groups] == [None, 1, 1]
     keyframes = {path for g in range(3) for t in range(m.tiers) for path in m.keyframe_files(g, t, 0)}
     assert log.bytes_by_kind["keyframe"] + log.bytes_by_kind["sidecars"] == m.bytes_of(sorted(keyframes))
 
@@ -153,11 +153,11 @@ def test_pages_of_every_level_lead_to_groups_as_a_package_grows():
 
 @pytest.mark.parametrize("order", [(1, 2, 3), (3, 2, 1), (2, 1, 3)])
 def test_tables_that_keep_rows_of_another_may_come_before_it_but_no_chain_of_them(order):
-    folder, chain = VALID / "kept", cases()["bad_value-keeps-chain"].package()
+    folder, chain = VALID / "inter", cases()["bad_value-base-chain"].package()
     tables, chained = grown((folder / JSON_NAME).read_bytes()), grown(chain[JSON_NAME])
     for number in order:
         tables.accept(group_path(number), (folder / group_path(number)).read_bytes())
-    assert [group.keeps for group in tables.offers.manifest.groups] == [None, 1, 1]
+    assert [group.base for group in tables.offers.manifest.groups] == [None, 1, 1]
     first, second = (group_path(number) for number in order if number > 1)
     chained.accept(first, chain[first])
     for _ in range(2):

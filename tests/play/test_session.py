@@ -188,7 +188,7 @@ def test_the_test_manifest_is_a_manifest(options):
     faces.check_group(m, m.groups.places.entry(1), second, "group")
     faces.check_base(second, first, "group")
     with pytest.raises(faces.FormatError, match="centres"):
-        faces.check_group(m, m.groups.places.entry(1), replace(second, keeps=None), "group")
+        faces.check_group(m, m.groups.places.entry(1), replace(second, base=None), "group")
 
 
 @pytest.mark.parametrize("buffer_s", [3.0, 2.5])  # whole segments of a second, and half of one
@@ -259,7 +259,7 @@ def test_the_page_of_the_base_is_fetched_first():
     """Group 66 is in airgs.json, its base on the first page."""
     group = {"table": 90, "sidecars": [30], "pictures": [[500, 300]]}
     group |= {"segments": [{"frames": 10, "bytes": [700], "psnr": [[40.0, 38.0]]}]}
-    groups = [group] * 65 + [group | {"keeps": 3, "sidecars": [20], "pictures": [[70, 60]]}]
+    groups = [group] * 65 + [group | {"base": 3, "sidecars": [20], "pictures": [[70, 60]]}]
     numbers = {"frame_rate": [10, 1], "page_bytes": 4000, "header_bytes": 0, "root_bytes": 1000, "groups": groups}
     numbers |= {"qualities": ["Q0", "Q1"], "levels": [{"id": "L0", "tiers": 1, "pruned": 0.0}]}
     offers = offers_of(numbers)
@@ -289,7 +289,7 @@ def test_the_bytes_of_the_next_group_are_those_that_are_then_asked_for():
         m = tiny_manifest(groups=(10,) * 5)
         for number in range(2, 6):
             base = int(chance.integers(1, number))
-            if m.groups[base - 1].keeps is None and chance.random() < 0.7:
+            if m.groups[base - 1].base is None and chance.random() < 0.7:
                 m = keeping(m, number, base, [(True, False), (True, True), (False, False)][chance.integers(3)])
         guessed.clear()
         log = play(m, link([8e4]), Policy("any", choose), first=int(chance.integers(3)), loops=2)

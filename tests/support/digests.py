@@ -54,7 +54,7 @@ def digests(package: Package) -> dict[str, str]:
     return out
 
 
-def lined_files(m: Manifest) -> list[str]:
+def sloped_files(m: Manifest) -> list[str]:
     """Paths of the delta files that begin with a picture of slopes, which is no frame."""
     levels = ((s, j, level) for s, segment in enumerate(m.segments) for j, level in enumerate(segment.levels))
-    return [path for s, j, level in levels if level.line for path in m.delta_files(s, j)]
+    return [path for s, j, level in levels if level.slopes for path in m.delta_files(s, j)]

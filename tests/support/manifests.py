@@ -124,5 +124,5 @@ def keeping(m: Manifest, number: int = 2, of: int = 1, pictures: Sequence[bool] 
         if not there:
             atlases = [replace(atlas, rows=0, planes=[]) for atlas in atlases]
         tiers.append(replace(tier, qualities=atlases, pictures=files))
-    groups[number - 1] = replace(groups[number - 1], tiers=tiers, keeps=of)
+    groups[number - 1] = replace(groups[number - 1], tiers=tiers, base=of)
     return replace(m, groups=in_groups(groups))

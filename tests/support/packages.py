@@ -26,7 +26,7 @@ from tests.support.scenes import (
 )
 
 TWO_LEVELS = (LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1))
-LINED_LEVELS = (LevelSettings(0.0), LevelSettings(0.3, 2.0))
+SLOPED_LEVELS = (LevelSettings(0.0), LevelSettings(0.3, 2.0))
 TIERED_LEVELS = (
     LevelSettings(0.0), LevelSettings(0.3, 1.5), LevelSettings(0.5, 2.0, 1, 1), LevelSettings(0.6, 3.0, 1, 1),
 )  # fmt: skip
@@ -142,7 +142,7 @@ def drifting(count: int, frames: int) -> list[Gaussians]:
     return [frame(t) for t in range(frames)]
 
 
-def lined_groups() -> list[list[Gaussians]]:
+def sloped_groups() -> list[list[Gaussians]]:
     """Two segments of even motion, a frame alone, a segment of uneven motion, one in which a row jumps and returns."""
     rng, first, even = np.random.default_rng(1), random_gaussians(300), drifting(900, 2 * SEGMENT + 1)
     shifts = rng.normal(size=(SEGMENT, 300, 3)).astype(np.float32) / 9
@@ -201,7 +201,7 @@ PACKAGES: dict[str, Callable[[Path], object]] = {
     "silent": silent,
     "keyframes": Encoded(kept_groups, KEPT_KEYFRAMES, fps=GROUP),
     "rows": Encoded(pruned_groups, replace(KEPT_KEYFRAMES, keep_all=False), fps=GROUP),
-    "lines": Encoded(lined_groups, replace(PLAIN, segment_s=SEGMENT / 30, levels=LINED_LEVELS), cameras=True),
+    "slopes": Encoded(sloped_groups, replace(PLAIN, segment_s=SEGMENT / 30, levels=SLOPED_LEVELS), cameras=True),
     "few": Encoded(few_groups, replace(PLAIN, segment_s=1 / 30), cameras=True),
     "wide": Encoded(lambda: few_rows(3), replace(PLAIN, levels=TWO_LEVELS), cameras=True),
     "paper": Encoded(lambda: [moving_frames(200, 4)], PAPER),

@@ -18,7 +18,7 @@ from airgs_codec.media.h264 import open_segment
 from airgs_codec.serve import pages
 from tests.faces import Camera, Package, before_background, content_policy, decode, mse, open_package, psnr, render
 from tests.support.browser import WEB, Answer, Made, build_pages, serve, visit
-from tests.support.digests import lined_files
+from tests.support.digests import sloped_files
 from tests.support.paths import GOLDEN, VALID
 
 SHIPPED = pages.PAGE
@@ -28,7 +28,7 @@ Answers = Mapping[str, Made]
 Task = tuple[str, dict[str, Any]]
 PACKAGES = {"golden": GOLDEN, "valid": VALID}
 PICTURED = (  # folder/package
-    *("golden/fox", "golden/fox-fine", "golden/room", "valid/kept", "valid/lined", "valid/moving"),
+    *("golden/fox", "golden/fox-fine", "golden/room", "valid/inter", "valid/slopes", "valid/moving"),
     *("valid/one-gaussian", "valid/paged", "valid/two-groups-sh1"),
 )
 INLINE = "document.title = 'ready';"
@@ -104,14 +104,14 @@ def check_luma(name: str, found: Mapping[str, list[str]]) -> None:
     """Digests of pictures of files, all of one page and then all of the next, are those of what Python decodes."""
     package = open_pictured(name)
     m = package.manifest
-    lined = lined_files(m)
-    assert bool(lined) == (name in ("valid/lined", "valid/moving"))  # those with lines in time
+    sloped = sloped_files(m)
+    assert bool(sloped) == (name in ("valid/slopes", "valid/moving"))  # those with slopes
     paths = [path for group in range(len(m.groups)) for path in m.group_files(group)]
     assert set(found) == {path for path in paths if path.endswith(".m4s")}
     for path, digests in found.items():
         _, pictures = open_segment(package.read(path), path)
         expected = [sha256(picture.tobytes()).hexdigest() for picture in pictures]
-        assert digests == expected[path in lined :], path  # slopes are no frame
+        assert digests == expected[path in sloped :], path  # slopes are no frame
 
 
 def pixels_of(picture: str, width: int, height: int) -> NDArray[np.uint8]:

@@ -52,7 +52,7 @@ def _group(part: Numbers, span: tuple[int, int]) -> mf.Group:
     ]  # fmt: skip
     sound = _file(part["sound"]) if "sound" in part else None
     return replace(
-        some, start=span[0], stop=span[1], tiers=tiers, segments=segments, keeps=part.get("keeps"), sound=sound
+        some, start=span[0], stop=span[1], tiers=tiers, segments=segments, base=part.get("base"), sound=sound
     )
 
 

@@ -100,7 +100,7 @@ def read_tier(case):
     read_detail(shared, case, case["detail"], case["coarser"], case["coarsest"])
 
 
-@each("positions", "kept")
+@each("positions", "inter")
 def test_depths_alone(case):
     found = unpack_sidecar(case, depths_alone=True)
     assert found.depths.tolist() == case["depths"] and not len(found.codes) and not len(found.classes)
@@ -121,7 +121,7 @@ def test_escapes(case):
 REFUSED = [
     *((read_columns, case) for case in cases("columns", "refused")),
     *((read_tier, case) for case in cases("positions", "refused")),
-    *((partial(unpack_sidecar, depths_alone=True), case) for case in cases("positions", "kept_refused")),
+    *((partial(unpack_sidecar, depths_alone=True), case) for case in cases("positions", "inter_refused")),
     *((unpack_escapes, case) for case in cases("escapes", "refused")),
 ]
 
@@ -195,7 +195,7 @@ def test_deltas(case):
         values = from_codes(codes, widths, case["gain"])
         if "slopes" in case:
             slopes = from_codes(np.array(case["slopes"], np.int32), widths, case["gain"])
-            values += np.float32(atlas.line_times(len(case["frames"]))[place]) * slopes
+            values += np.float32(atlas.slope_times(len(case["frames"]))[place]) * slopes
         assert_near(shown(applier.apply(values)), frame)
     if not len(rows):  # without states it is shown alike
         assert_near(shown(base.to_gaussians()), case["frames"][0])

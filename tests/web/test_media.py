@@ -87,7 +87,7 @@ def test_atlases_in_pages_are_put_together_and_a_group_may_have_no_keyframe_pict
     """The second group of `still` differs by nothing."""
     m, (_, second) = (open_package(encoded / "pages").manifest, open_package(encoded / "still").manifest.groups)
     assert all(atlas.pages > 1 for atlas in (m.groups[0].tiers[0].qualities[0], m.groups[0].levels[0]))
-    assert second.keeps == 1 and not any(file.bytes for tier in second.tiers for file in tier.pictures)
+    assert second.base == 1 and not any(file.bytes for tier in second.tiers for file in tier.pictures)
     assert [frames[name].get("frames") for name in ENCODED] == [m.frames, second.stop], frames["still"]
     assert all(error <= 1e-6 for name in ENCODED for error in frames[name]["worst"].values()), frames
 

@@ -56,7 +56,7 @@ def test_a_frame_that_is_sought_is_what_the_cpu_renderer_draws(tmp_path, backgro
     if background:
         package = with_root(tmp_path / "package", lambda root: root["region"].update(background=background))
     else:
-        assert [group.keeps for group in package.manifest.groups] == [None, 1]
+        assert [group.base for group in package.manifest.groups] == [None, 1]
     m = package.manifest
     name = f"{m.qualities[rung[0]].id}+{m.levels[rung[1]].id}"
     report = try_player(package, "seek", frames=json.dumps(frames), rung=name, fps=float(m.fps))

@@ -144,7 +144,7 @@ def test_what_is_drawn_is_what_it_is_named_after(packages, data):
     assert {t for frames in segments for t, frame in enumerate(frames) if frame["changes"]} >= {1, 2}
     assert all(s.levels[0].line for s in manifests["lined"].segments)
     room = manifests["room"].groups
-    assert [g.keeps for g in room] == [None, 1, 1]
+    assert [g.base for g in room] == [None, 1, 1]
     assert any(atlas.rows for tier in room[1].tiers for atlas in tier.qualities)
     assert manifests["still"].delta_files(1, 0) == []
 

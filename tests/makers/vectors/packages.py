@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec.coding.atlas import line_times
+from airgs_codec.coding.atlas import slope_times
 from airgs_codec.coding.sidecar import grid_means
 from airgs_codec.media.h264 import open_segment
 from tests.faces import Package, decode_keyframe, decode_pictures, open_package
@@ -34,8 +34,8 @@ from tests.support.digests import decode_slopes
 from tests.support.paths import GOLDEN, REPOSITORY, VALID
 from tests.support.vectors import Table, binary
 
-FOX, FINE, ROOM, LINED = GOLDEN / "fox", GOLDEN / "fox-fine", GOLDEN / "room", VALID / "lined"
-INDEXED = (FOX, VALID / "paged", VALID / "live", VALID / "two-groups-sh1", VALID / "kept", ROOM)
+FOX, FINE, ROOM, LINED = GOLDEN / "fox", GOLDEN / "fox-fine", GOLDEN / "room", VALID / "slopes"
+INDEXED = (FOX, VALID / "paged", VALID / "live", VALID / "two-groups-sh1", VALID / "inter", ROOM)
 SHOWN: dict[Path, list[tuple[int, int, int, int]]] = {  # frame, keyframe quality, level, keyframe tiers
     FOX: [*((frame, q, j, 2) for frame in (0, 3) for q in (0, 1) for j in (0, 1)), (3, 0, 0, 1), (1, 1, 1, 1)],
     FINE: [(1, 0, 0, 2)],
@@ -92,8 +92,8 @@ class Tables:
 
     def base_of(self, group: int) -> int | None:
         """The group that its keyframes are differences to; None where they are none."""
-        keeps: int | None = self.groups[group].get("keeps")
-        return None if keeps is None else keeps - 1
+        base: int | None = self.groups[group].get("base")
+        return None if base is None else base - 1
 
     def delta(self, group: int, segment: int, level: int) -> str | None:
         """The pictures of a segment of the group; None where there is nothing to fetch."""
@@ -127,7 +127,7 @@ def tables() -> tuple[Table, bytes]:
         "groups": [_group(t, g) for t in indexed for g in range(len(t.groups)) if len(t.groups) < 5 or g in SOME],
         "index": [_place(count, group) for count in INDEX for group in sorted({0, count // 2, count - 65, count - 1})],
         "startup": [start for t in indexed for start in _startups(t)],
-        "units": [_unit(of, path) for of in (FOX, VALID / "kept") for path in sorted(of.rglob("*.m4s"))],
+        "units": [_unit(of, path) for of in (FOX, VALID / "inter") for path in sorted(of.rglob("*.m4s"))],
         "frames": frames,
     }, data
 
@@ -199,7 +199,7 @@ def _rows(t: Tables, package: Package, frame: int, quality: int, level: int, tie
     place = frame - start
     codes = next(decode_pictures(package, number, level, range(place, place + 1))).codes().astype(np.float64)
     if (slopes := decode_slopes(package, number, level)) is not None:
-        codes += line_times(stop - start)[place] * slopes
+        codes += slope_times(stop - start)[place] * slopes
     carried = np.flatnonzero((depths >= level) & (depths < STATIC))
     changes = np.zeros((len(codes), len(depths)))
     changes[:, carried] = codes[:, : len(carried)]  # of fewer tiers, the first rows

@@ -106,13 +106,13 @@ def _codes(case: Case) -> list[list[int]]:
 
 def positions() -> Table:
     """Morton codes; tiers with the files of each quality; sidecars and details that must be refused."""
-    kept = [case | {"data": _packed(_sidecar([], [], [], case["depths"]))} for case in cases("positions", "kept")]
+    inter = [case | {"data": _packed(_sidecar([], [], [], case["depths"]))} for case in cases("positions", "inter")]
     return {
         "morton": [case | {"code": str(interleave(case["index"]))} for case in cases("positions", "morton")],
         "tiers": [_tier(case) for case in cases("positions", "tiers")],
         "refused": _refused(),
-        "kept": kept,
-        "kept_refused": [
+        "inter": inter,
+        "inter_refused": [
             {"name": name, "rows": 2, "data": _coded(*((one, 1) for one in columns))}
             for name, columns in BROKEN_DEPTHS.items()
         ],

@@ -142,8 +142,8 @@ MECHANISMS = (
         _set(calibrate="steps"),
     ),
     Mechanism(
-        "slopes of linear motion", "deltas:CodedLine deltas:_lines deltas:_write_again sample:with_line",
-        _patched((CalibrationSample, "with_line", lambda self, *_: self)),
+        "slopes of linear motion", "deltas:CodedSlopes deltas:_lines deltas:_write_again sample:with_slopes",
+        _patched((CalibrationSample, "with_slopes", lambda self, *_: self)),
     ),
     Mechanism(
         "one motion class for what moves together", "coding/motion:share_class",

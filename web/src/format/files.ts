@@ -41,8 +41,8 @@ export function readKeyframeTier(
   const { count, factor, qualities } = table.tiers[tier]!;
   const atlas = qualities[quality]!;
   const coarsest = root.qualities.at(-1)!.coarser;
-  const coarser = table.keeps ? coarsest : root.qualities[quality]!.coarser; // a difference has no detail of positions
-  const placed = table.keeps ? 0 : count;
+  const coarser = table.base ? coarsest : root.qualities[quality]!.coarser; // a difference has no detail of positions
+  const placed = table.base ? 0 : count;
   const shared = readSidecar(sidecar, count, placed, table.grid, coarsest, keyframeSidecarPath(tier, group + 1));
   const none: Media = { checksums: new Uint32Array(), columns: null, samples: [] };
   const { checksums, columns, samples } = media ? readMedia(media, where) : none;
@@ -65,7 +65,7 @@ export function readKeyframeTier(
   };
 }
 
-/** Segment `place` of a table but for its pictures; `segment` is its number, from 0. `line` is the picture of slopes,
+/** Segment `place` of a table but for its pictures; `segment` is its number, from 0. `slopes` is the picture of slopes,
  * null without one; its `bases` are those other than 0. Throws FormatError (bad_sidecar, bad_picture).
  */
 export function readDeltas(
@@ -80,14 +80,14 @@ export function readDeltas(
   const reader = new ColumnReader(columns, where);
   const frames = stop - start;
   const basesOf = (count: number) => new Bases(readEscapes(reader, count, atlas.planes.length, atlas.rows), atlas);
-  const rising = levels[level]!.line ? basesOf(1) : null;
+  const rising = levels[level]!.slopes ? basesOf(1) : null;
   const bases = basesOf(frames);
   reader.close();
   const front = rising ? pages(atlas) : 0;
   const pagesOf = (part: Sample[], count: number) => pageSamples(part, atlas, count, where);
-  const line = rising && { pages: pagesOf(samples.slice(0, front), 1), checksums, bases: rising.next(0) };
+  const slopes = rising && { pages: pagesOf(samples.slice(0, front), 1), checksums, bases: rising.next(0) };
   const own = pagesOf(samples.slice(front), frames);
-  return { atlas, frames, pages: own, checksums: checksums.subarray(front), bases, line };
+  return { atlas, frames, pages: own, checksums: checksums.subarray(front), bases, slopes };
 }
 
 /** Rows that a level carries, ascending. `depths` (N) are those of all its rows, or of the first tiers. */

@@ -67,7 +67,7 @@ export class Tables {
     checkGroup(this.root, entry, table, number);
     const others = new Map(this.#groups.entries()).set(number, table);
     for (const [n, one] of others) {
-      const base = others.get((one.keeps ?? 0) - 1);
+      const base = others.get((one.base ?? 0) - 1);
       if (base && (one === table || base === table)) checkBase(one, base, groupPath(n + 1));
     }
     return this.#groups.set(number, table);
@@ -122,8 +122,8 @@ export class Tables {
 
   /** The base of a group, whose rows it keeps; null: it has none. Throws what `group` does. */
   base(group: number): number | null {
-    const { keeps } = this.group(group);
-    return keeps ? keeps - 1 : null;
+    const { base } = this.group(group);
+    return base ? base - 1 : null;
   }
 
   /** Sidecar and picture of a keyframe tier: none of one without rows, no picture where nothing differs from the base. */

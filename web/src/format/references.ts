@@ -123,7 +123,7 @@ export function checkPage(entry: Entry, page: Page, where: string): void {
 export function checkGroup(root: Root, entry: Entry, group: Group, number: number): void {
   const where = groupPath(number + 1);
   const place = new Place(where);
-  if (group.keeps) place.within("keeps", group.keeps, 1, number);
+  if (group.base) place.within("base", group.base, 1, number);
   place.exactly("start", group.start, entry.start);
   place.exactly("stop", group.stop, entry.stop);
   place.exactly("segments", group.segments.length, entry.segments);
@@ -153,8 +153,8 @@ export function checkGroup(root: Root, entry: Entry, group: Group, number: numbe
 
 /** Checks that `base`, the group whose rows a group keeps, keeps none and is laid out alike. */
 export function checkBase(group: Group, base: Group, where: string): void {
-  if (!base.keeps && laidOut(group) === laidOut(base)) return;
-  throw bad(`${where}.keeps`, `expected a base laid out alike, got ${group.keeps}`);
+  if (!base.base && laidOut(group) === laidOut(base)) return;
+  throw bad(`${where}.base`, `expected a base laid out alike, got ${group.base}`);
 }
 
 const laidOut = (group: Group) =>
@@ -186,13 +186,13 @@ function checkCounts(root: Root, group: Group, place: Place): void {
 function checkAtlases(root: Root, group: Group, place: Place): void {
   const colours = colourChannels(root.sh_degree);
   place.within("grid.step", gridUnit(group), 1e-30, 1e30);
-  const [first, attributes] = group.keeps
+  const [first, attributes] = group.base
     ? [DELTA_AT.colour, DELTA_ATTRIBUTES]
     : [KEYFRAME_AT.colour, KEYFRAME_ATTRIBUTES];
   for (const [t, tier] of group.tiers.entries()) {
     for (const [q, atlas] of tier.qualities.entries()) {
       const at = `tiers[${t}].qualities[${q}]`;
-      if (!group.keeps || atlas.rows) place.exactly(`${at}.rows`, atlas.rows, tier.count);
+      if (!group.base || atlas.rows) place.exactly(`${at}.rows`, atlas.rows, tier.count);
       if (atlas.rows) place.within(`planes of ${at}`, atlas.planes.length, 1, atlas.centres.length);
       checkAtlas(new Place(`${place.where}.${at}`), atlas, first + colours, attributes.length);
     }
@@ -235,7 +235,7 @@ function checkSegment(root: Root, group: Group, segment: Segment, place: Place):
     const fetched = file.bytes > 0;
     place.file(`levels[${j}].file`, file, fetched && group.levels[j]!.planes.length > 0);
     const frames = fetched ? segment.stop - segment.start : 0;
-    if (level.line) place.within(`levels[${j}].line`, frames, 2, Infinity);
+    if (level.slopes) place.within(`levels[${j}].slopes`, frames, 2, Infinity);
     place.exactly(`levels[${j}].frame_bytes`, frame_bytes.length, frames);
     if (sum(frame_bytes) <= file.bytes) return;
     const detail = `frame_bytes add up to ${sum(frame_bytes)}, the file has ${file.bytes}`;

@@ -39,7 +39,7 @@ export interface BaseChanges {
   /** Places in the atlas: line · width + column, pages one after the other. */
   texels: Uint32Array;
   bases: Int32Array;
-  /** (samples) codes of slopes, with the first picture of a segment that has a line. */
+  /** (samples) codes of slopes, with the first picture of a segment that has slopes. */
   slopes?: Int32Array | null | undefined;
 }
 
@@ -79,7 +79,7 @@ export interface DeltaFrame {
   luma: Uint8Array;
   /** What changes from the frame before in the segment, or from bases of 0; null: nothing. */
   bases: BaseChanges | null;
-  /** x: how often slopes count (FORMAT.md, section 4); 0 without a line. */
+  /** x: how often slopes count (FORMAT.md, section 4); 0 without slopes. */
   time: number;
   /** (3N) means of all rows in this frame, world units: what the depth order is made of. */
   means: Float32Array;

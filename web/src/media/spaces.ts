@@ -86,16 +86,16 @@ export async function decodeDeltas(
   checkCount(tables.root, table, level, file.tiers, positions.depths);
   const place = segment - tables.segmentsOf(group).start;
   const deltas = readDeltas(table, { segment, place, level }, file.bytes);
-  const { bases, frames, line } = deltas;
+  const { bases, frames, slopes: front } = deltas;
   const carried = levelRows(positions.depths, level);
   const steps = deltaSteps(tables.root, table, level);
   let slopes: Int32Array | null = null;
   const rise = (_: number, luma: Uint8Array) => {
-    slopes = slopeCodes(luma, line!.bases);
+    slopes = slopeCodes(luma, front!.bases);
   };
-  if (line) await decoder.decode({ ...deltas, ...line, frames: 1, where }, rise, options);
+  if (front) await decoder.decode({ ...deltas, ...front, frames: 1, where }, rise, options);
   const show = (t: number, luma: Uint8Array) => {
-    const time = line ? (2 * t) / (frames - 1) - 1 : 0;
+    const time = front ? (2 * t) / (frames - 1) - 1 : 0;
     const changes = bases.next(t, t ? null : slopes?.slice()); // the page gets them, others stay here
     const means = movedMeans(positions, carried, bases, steps, luma, slopes, time);
     take(t, { luma, bases: changes, time, means });

@@ -105,14 +105,14 @@ export class Decoded {
       units: this.#array(units),
       depths: this.#array(depths),
       parts: parts.map((part) => {
-        const { keeps } = tables[group];
+        const { base } = tables[group];
         const key = (picture: PictureTable, number: number, difference: KeyframePart | null): KeyframePart => {
           const { qualities, factor } = tables[number].tiers[part.tier];
           const luma = this.#array<Uint8Array>(picture.luma!);
           return { atlas: qualities[quality], factor, luma, bases: this.#changes(picture), difference };
         };
         const difference = part.difference && key(part.difference, group, null);
-        return key(part, keeps ? keeps - 1 : group, difference);
+        return key(part, base ? base - 1 : group, difference);
       }),
     };
   }

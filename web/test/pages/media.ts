@@ -30,8 +30,8 @@ function demand(fetched: Fetched): Fetched {
 async function openGroup(media: Media, group: number): Promise<void> {
   for (const path of media.tables.index.pagesTo("groups", group)) demand(await media.fetch([path], { attempts: 1 }));
   demand(await media.fetch([groupPath(group + 1)], { attempts: 1 }));
-  const { keeps } = media.tables.group(group);
-  if (keeps && !media.tables.has(keeps - 1)) await openGroup(media, keeps - 1);
+  const { base } = media.tables.group(group);
+  if (base && !media.tables.has(base - 1)) await openGroup(media, base - 1);
 }
 
 /** SHA-256 of the pages of a picture, each in hexadecimal. */
@@ -73,8 +73,8 @@ async function luma({ url }: Step): Promise<unknown> {
     const of = { group, quality: 0, tiers: root.tiers };
     for (let quality = 0; quality < root.qualities.length; quality++) {
       const canonical = await canonicalOf(media, { ...of, quality });
-      const keeps = media.tables.base(group) !== null;
-      const own = canonical.parts.flatMap((part) => (keeps ? (part.difference ?? []) : part));
+      const base = media.tables.base(group) !== null;
+      const own = canonical.parts.flatMap((part) => (base ? (part.difference ?? []) : part));
       const tiers = Array.from({ length: root.tiers }, (_, tier) => media.tables.keyframeFiles(group, tier, quality));
       const pictures = tiers.flat().filter((path) => path.endsWith(".m4s"));
       for (const [i, part] of own.entries()) found[pictures[i]] = await digests(part.luma, part.atlas);

@@ -32,7 +32,7 @@ export interface GroupNumbers {
   pictures: number[][];
   segments: SegmentNumbers[];
   /** The group, from 1, that its keyframes are differences to. */
-  keeps?: number;
+  base?: number;
 }
 
 export interface PackageNumbers {
@@ -124,8 +124,8 @@ export class NumberTables implements OfferTables {
   }
 
   base(group: number): number | null {
-    const { keeps } = this.numbers.groups[group];
-    return keeps ? keeps - 1 : null;
+    const { base } = this.numbers.groups[group];
+    return base ? base - 1 : null;
   }
 
   soundFiles(group: number): string[] {

@@ -31,7 +31,7 @@ const BASE: GroupNumbers = {
 /** A group that differs from group 1 in tier 0 alone. */
 const differing = (pictures: number[]): GroupNumbers => ({
   ...BASE,
-  ...{ sidecars: [10, 20], pictures: [pictures, [0, 0]], keeps: 1 },
+  ...{ sidecars: [10, 20], pictures: [pictures, [0, 0]], base: 1 },
 });
 const [SOME, ONE] = [differing([50, 15]), differing([70, 35])];
 
@@ -111,7 +111,7 @@ test("who joins in the middle reads what is kept there, and needs it but once", 
 
 test("the table of the other group may stand on a page that nobody has read", () => {
   const { numbers } = new Viewer().tables;
-  const groups = [...new Array(65).fill(BASE), { ...SOME, keeps: 3 }];
+  const groups = [...new Array(65).fill(BASE), { ...SOME, base: 3 }];
   const { tables } = new Stores(new Offers(new NumberTables({ ...numbers, groups })));
   const read = (path: string) => {
     const batch = { keyframes: [], delta: [], tables: [path] };

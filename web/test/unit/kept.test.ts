@@ -52,11 +52,11 @@ for (const { name, rows, data } of positions.kept_refused) {
 const NOTHING = { bytes: 0, sha256: "" };
 
 /** The table of group 2 with keyframes that are differences to those of a group, of which some tiers have pictures. */
-function keeping(base: Group, group: Group, keeps: number, pictures: boolean[]): Group {
-  const { grid, keyframe_steps, colour_transform, count } = base;
-  const table: Group = { ...structuredClone(group), grid, keyframe_steps, colour_transform, count, keeps };
+function keeping(earlier: Group, group: Group, base: number, pictures: boolean[]): Group {
+  const { grid, keyframe_steps, colour_transform, count } = earlier;
+  const table: Group = { ...structuredClone(group), grid, keyframe_steps, colour_transform, count, base };
   for (const [t, tier] of table.tiers.entries()) {
-    const { count, factor } = base.tiers[t]!;
+    const { count, factor } = earlier.tiers[t]!;
     Object.assign(tier, { count, factor });
     for (const atlas of tier.qualities) {
       atlas.centres.unshift(0, 0, 0);
@@ -72,9 +72,9 @@ function keeping(base: Group, group: Group, keeps: number, pictures: boolean[]):
 const packed = (table: Group) => new Uint8Array(gzipSync(JSON.stringify(table)));
 
 /** The tables of the fox, whose second keyframes are differences. */
-async function fox(pictures: boolean[], keeps = 1): Promise<Tables> {
+async function fox(pictures: boolean[], base = 1): Promise<Tables> {
   const tables = await readTables(FOX);
-  await tables.addGroup(1, packed(keeping(tables.group(0), tables.group(1), keeps, pictures)));
+  await tables.addGroup(1, packed(keeping(tables.group(0), tables.group(1), base, pictures)));
   return tables;
 }
 
@@ -101,9 +101,9 @@ test("a base must be there, keep none itself and be laid out alike, whichever is
   for (const keeps of [2, 3]) await assert.rejects(fox([true, false], keeps), refused, `of ${keeps}`);
   const tables = await fox([true, false]);
   const [first, second] = [tables.group(0), tables.group(1)];
-  const { keeps, ...alone } = second;
+  const { base, ...alone } = second;
   await assert.rejects(tables.addGroup(1, packed(alone)), refused); // channels of differences to nobody
-  await assert.rejects(tables.addGroup(0, packed({ ...first, keeps: 1 })), refused); // of itself
+  await assert.rejects(tables.addGroup(0, packed({ ...first, base: 1 })), refused); // of itself
   const changed: Record<string, (table: Group) => void> = {
     grid: (table) => Object.assign(table.grid, { finest: 3 }),
     keyframe_steps: (table) => Object.assign(table.keyframe_steps, { opacity: 0.5 }),
@@ -113,16 +113,16 @@ test("a base must be there, keep none itself and be laid out alike, whichever is
   for (const change of Object.values(changed)) {
     const other = structuredClone(second);
     change(other);
-    await assert.rejects(tables.addGroup(1, packed(other)), { ...refused, message: /keeps/ });
+    await assert.rejects(tables.addGroup(1, packed(other)), { ...refused, message: /base/ });
     const base = structuredClone(first);
     change(base);
-    await assert.rejects(tables.addGroup(0, packed(base)), { ...refused, message: /keeps/ });
+    await assert.rejects(tables.addGroup(0, packed(base)), { ...refused, message: /base/ });
   }
   const late = await readTables(FOX);
   const entry = late.index.entry(1);
   late.index.entry = () => entry;
   await late.addGroup(1, packed(second));
-  await assert.rejects(late.addGroup(2, packed({ ...second, keeps: 2 })), refused); // of a group that has a base itself
+  await assert.rejects(late.addGroup(2, packed({ ...second, base: 2 })), refused); // of a group that has a base itself
 });
 
 test("without the table of the base nothing of it can be said", async () => {

@@ -183,8 +183,8 @@ for (const one of readVectors("packages").startup) {
     const number = tables.index.groupAt("frames", one.frame);
     assert.throws(() => tables.group(number), MissingTableError);
     await add(groupPath(number + 1));
-    const { keeps } = tables.group(number);
-    if (keeps) await add(groupPath(keeps));
+    const { base } = tables.group(number);
+    if (base) await add(groupPath(base));
     files.push(...tables.keyframesOf(number, one.quality, one.tiers));
     files.push(...tables.deltaFiles(tables.segmentAt(one.frame), one.level));
     assert.deepEqual(files, one.files);
