@@ -1,9 +1,9 @@
 """All frames of a group -> the deltas of every pruning level: which Gaussians it carries, its samples and escapes.
 
-Differences to the canonical space are coded as pictures. Slopes are what each Gaussian changes by,
-evenly, in a segment: a picture in front of those of the frames, which code what the slopes as decoded leave, so that
-errors do not add up. T frames, S segments and N Gaussians of a group, n of a level, P planes, C colour channels. Neither
-the differences of all frames nor the samples of all levels may fit into memory: both wait in a scratch folder.
+Differences to the canonical space are coded as pictures. Slopes are what each Gaussian changes by, evenly, in a
+segment: a picture in front of those of the frames, which code what the slopes as decoded leave, so that errors do not
+add up. T frames, S segments and N Gaussians of a group, n of a level, P planes, C colour channels. Neither the
+differences of all frames nor the samples of all levels may fit into memory: both wait in a scratch folder.
 """
 
 from __future__ import annotations
