@@ -35,13 +35,13 @@ test("a sidecar of a difference has depths alone", () => {
 
 const positions = readVectors("positions");
 
-for (const { name, rows, data, depths } of positions.kept) {
+for (const { name, rows, data, depths } of positions.inter) {
   test(`sidecar of the vectors: ${name}`, () => {
     assert.deepEqual([...readDepths(fromBase64(data), rows).depths], depths);
   });
 }
 
-for (const { name, rows, data } of positions.kept_refused) {
+for (const { name, rows, data } of positions.inter_refused) {
   test(`sidecar of the vectors refused: ${name}`, () => {
     assert.throws(() => readDepths(fromBase64(data), rows), { reason: "bad_sidecar" });
   });
