@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from airgs_codec._arguments import brief
-from airgs_codec.analysis.grouping import closed_groups
+from airgs_codec.analysis.grouping import closed_groups, count_changes
 from airgs_codec.encoder.layout import split_segments
 from airgs_codec.encoder.settings import INTRA, EncodeSettings
 from airgs_codec.encoder.survey import Frames, Span
@@ -75,10 +75,14 @@ class Plan:
         return full or start in sequence.breaks or sequence.count(start) != sequence.count(start - 1)
 
     def of(self, sequence: GaussianSequence) -> Plan:
-        """The plan with groups for all frames of a sequence. Raises ConfigError for a sequence that is too short."""
+        """Return the plan with groups for all frames of a sequence. Raises ConfigError where it is of another one."""
         planned = self.groups[-1][1] if self.groups else 0
         if planned > len(sequence):
             raise ConfigError(f"plan: expected a sequence of at least {planned} frames, got {len(sequence)}")
+        starts = {start for start, _ in self.groups}
+        for frame in {*count_changes(sequence), *sequence.breaks}:
+            if frame < planned and frame not in starts:
+                raise ConfigError(f"plan: expected equal Gaussians in a group, got others from frame {frame} on")
         return self.with_groups(sequence, closed_groups(sequence, planned, self.settings.group_frames, done=True))
 
     def spans(self, number: int) -> tuple[Span, ...]:

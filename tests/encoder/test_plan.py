@@ -63,14 +63,16 @@ def test_what_is_no_plan_is_refused_in_one_line(change, words):
     assert "\n" not in str(caught.value)
 
 
-def test_a_plan_of_more_frames_or_with_a_goal_is_refused_and_leaves_nothing(tmp_path):
-    plan = decide(GaussianSequence.from_arrays(STILL[:3]), SETTINGS)
-    for frames, more, words in (
-        (2, {}, "at least 3 frames, got 2"),
-        (3, {"goal": Goal.psnr(40)}, "goal: expected none"),
+def test_a_plan_of_another_sequence_or_with_a_goal_is_refused_and_leaves_nothing(tmp_path):
+    plan, whole = (decide(GaussianSequence.from_arrays(STILL[:3]), replace(SETTINGS, group_frames=n)) for n in (1, 3))
+    changed = [*STILL[:2], random_gaussians(50)]
+    for followed, frames, more, words in (
+        (plan, STILL[:2], {}, "at least 3 frames, got 2"),
+        (plan, STILL[:3], {"goal": Goal.psnr(40)}, "goal: expected none"),
+        (whole, changed, {}, "equal Gaussians in a group, got others from frame 2 on"),
     ):
         with pytest.raises(ConfigError, match=words):
-            faces.encode(GaussianSequence.from_arrays(STILL[:frames]), tmp_path / "out", plan=plan, **more)
+            faces.encode(GaussianSequence.from_arrays(frames), tmp_path / "out", plan=followed, **more)
     assert list(tmp_path.iterdir()) == []
     longer = faces.encode(GaussianSequence.from_arrays(STILL[:5]), tmp_path / "out", plan=plan)
     assert len(longer.manifest.groups) == 5 and longer.plan.begins == (0,)
