@@ -12,10 +12,11 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
+from airgs_codec.coding.channels import Canonical
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.encoder.views import Views
 from airgs_codec.media.metrics import Difference, Picture, low_psnr, psnr
@@ -55,14 +56,15 @@ def measure(
     pictures = [(frame, cameras[(segments[0] * most + i) % len(cameras)]) for i, frame in enumerate(frames)]
     top, first = rungs[0], min(most, FIRST)
     known = {rung: range(first) for rung in rungs}
-    found = _look(package, sequence, renderer, pictures, known, Difference.of)
+    spaces = lru_cache(2 * len(m.qualities))(partial(decode_canonical, package))
+    found = _look(package, spaces, sequence, renderer, pictures, known, Difference.of)
     for rung in rungs:
         spread = _standard_error(found[rung], () if rung == top else found[top])
         own = rung[1] == m.levels[rung[0]].quality  # others are what viewers have while they change
         needed = math.ceil(first * (spread / (10 ** (ERROR_DB / 10) - 1)) ** 2)
         known[rung] = range(first, max(first, min(most if own else first, needed)))
     known[top] = range(first, max(some.stop for some in known.values()))
-    for rung, others in _look(package, sequence, renderer, pictures, known, _error_of).items():
+    for rung, others in _look(package, spaces, sequence, renderer, pictures, known, _error_of).items():
         found[rung] += others
     return Seen([m.segment_at(frame) for frame, _ in pictures[: len(found[top])]], found)
 
@@ -84,6 +86,7 @@ def _standard_error(differences: Sequence[Difference], top: Sequence[Difference]
 
 def _look(
     package: Package,
+    spaces: Callable[[int, int], Canonical],
     sequence: GaussianSequence,
     renderer: Renderer,
     pictures: Sequence[View],
@@ -99,7 +102,7 @@ def _look(
     draw = draw_frames(in_order(numbers, _originals(package.manifest, sequence, numbers)), renderer)
     originals = lru_cache(maxsize=1)(lambda i: draw(*pictures[i]))
     shown = {
-        rung: draw_frames(in_order(_unique(of_rung), _decoded(package, rung, _unique(of_rung))), renderer)
+        rung: draw_frames(in_order(_unique(of_rung), _decoded(package, spaces, rung, _unique(of_rung))), renderer)
         for rung, some in wanted.items()
         if (of_rung := [pictures[i][0] for i in order if i in some])
     }
@@ -123,11 +126,15 @@ def _unique(numbers: Sequence[int]) -> list[int]:
     return sorted(set(numbers))
 
 
-def _decoded(package: Package, rung: Rung, numbers: Sequence[int]) -> Iterator[Gaussians]:
-    """Frames of a rung by their ascending numbers, decoded when they are asked for."""
+def _decoded(
+    package: Package, spaces: Callable[[int, int], Canonical], rung: Rung, numbers: Sequence[int]
+) -> Iterator[Gaussians]:
+    """Yield frames of a rung by their ascending numbers; `spaces` gives the canonical space of a group and quality."""
     m, (level, quality) = package.manifest, rung
     for index, some in itertools.groupby(numbers, key=m.segment_at):
-        base = decode_canonical(package, m.group_of(index), quality, m.levels[level].tiers)
+        group = m.group_of(index)
+        rows = sum(tier.count for tier in m.groups[group].tiers[: m.levels[level].tiers])
+        base = spaces(group, quality).part(slice(rows))
         start = m.segments[index].start
         yield from decode_segment(package, index, base, level, [number - start for number in some])
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -45,7 +46,7 @@ DRAWS = 240  # views that are drawn of each kind
 Pictures = list[View]  # the number of a frame in the sequence, and a camera
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Views:
     """The viewing region of a scene, and how many views of it decide."""
 
@@ -61,7 +62,7 @@ class Views:
         places = ((np.array(place.position), np.array(place.focus)) for place in self.region.places)
         return float(np.median([np.linalg.norm(focus - position) for position, focus in places])) / DISTANCE
 
-    @property
+    @cached_property
     def deciding(self) -> list[Camera]:
         share = (DECISION_PIXELS / (self.region.width * self.region.height)) ** 0.5
         return [resized(camera, share) for camera in self._drawn(DECIDING)]
@@ -74,8 +75,7 @@ class Views:
 
     def decide(self, frames: range, groups: int = 1) -> Pictures:
         """Pictures that decide about the frames of so many groups."""
-        cameras = self.deciding
-        cameras[self.decided : self.decided + CHECKED] = []
+        cameras = self.deciding[: self.decided] + self.deciding[self.decided + CHECKED :]
         return _spread(frames, cameras[: round(self.decided * groups**0.5)])
 
     def check(self, frames: range) -> Pictures:
