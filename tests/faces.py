@@ -31,7 +31,7 @@ from airgs_codec.places.place import Bucket, Folder, Memory, bucket_at, place_at
 from airgs_codec.places.results import Store, digest as content_digest, load, open_store, pack, seal, unpack, unseal
 
 # Deciding and encoding
-from airgs_codec.analysis.rows import Restored, outlook, restore_rows
+from airgs_codec.analysis.rows import Restored, first_look, restore_rows
 from airgs_codec.analysis.grouping import closed_groups, plan_groups
 from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.analysis.region import region_around
@@ -102,16 +102,18 @@ from airgs_codec.trainer.frames import Capture
 from airgs_codec.trainer.data.multiview import (
     MultiviewScene, Points, Shot, with_held_out, with_near,
 )  # fmt: skip
-from airgs_codec.trainer.data.pictures import PICTURE_BYTES, Pictures, TARGET_BYTES, Target, View
+from airgs_codec.trainer.data.pictures import (
+    PICTURE_BYTES, ScenePictures as Pictures, TARGET_BYTES, TargetPicture as Target, View,
+)  # fmt: skip
 from airgs_codec.trainer.data.readers import is_multiview, open_scene
 from airgs_codec.trainer.data.pictures import FrameViews
 from airgs_codec.trainer.fit.trainer import Trainer, fit_first
-from airgs_codec.trainer.fit.losses import ATTRIBUTES, InMotion, Parameters, from_gaussians
+from airgs_codec.trainer.fit.losses import GAUSSIAN_FIELDS as ATTRIBUTES, InMotion, Parameters, from_gaussians
 from airgs_codec.trainer.fit.optimise import Adam
 from airgs_codec.trainer.fit.points import from_points, scene_extent
 from airgs_codec.trainer.pipeline import content_of, open_run, read_contents, rested, train_frames, train_in_jobs
 from airgs_codec.trainer.track import tracked
-from airgs_codec.trainer.record import FrameRecord, Record, TrainedFrame, VERSION as MODEL_VERSION, read_model
+from airgs_codec.trainer.record import FrameRecord, Record, TrainedFrame, MODEL_VERSION, read_model
 
 # Playing
 from airgs_codec.play.playout import SessionSettings

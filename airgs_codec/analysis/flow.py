@@ -1,9 +1,9 @@
-"""Where the Gaussians of one frame go in another one that knows nothing of them: with other rows, in another order.
+"""Where the Gaussians of one frame are in another one, with other rows in another order.
 
 Every row is matched with the row of the other frame that is most like it, where that holds both ways. Single matches
-are noise; the motion is that of nodes, each of which moves and turns as the matches about it do, and every row goes
-along with the nodes next to it (embedded deformation, Sumner et al. 2007). N rows, M rows of the other frame, S nodes,
-K nodes next to a row.
+are noise; the motion is that of nodes, each of which moves and turns as the matches about it do, and every row moves
+with the nodes next to it (embedded deformation, Sumner et al. 2007). N rows, M rows of the other frame, S nodes, K
+nodes next to a row.
 """
 
 from __future__ import annotations
@@ -19,16 +19,11 @@ from airgs_codec.analysis.matching import attributes, spacing_of
 from airgs_codec.scene.gaussians import Gaussians, from_rotation_vector, multiply
 
 NODE_ROWS = (200, 60, 40)  # rows of a node, in rounds: with fewer, what is matched by chance moves them
-NEAR = 6  # nodes that a row goes with
-FAR = 3.0  # medians of the differences of matches: further rows tell nothing
-NEAR_BY = 0.5  # sizes of a row: one that is as near tells something all the same
-DOUBT = 0.2  # of the usual weight of a node's matches: a node with as few goes half as far as they say
-ATTRIBUTE_SHARE = 0.2  # of what attributes count for in frames of one tracking, whose rows keep them
 Vectors = NDArray[np.float64]
 
 
 def carry(g: Gaussians, frame: Gaussians, velocity: NDArray[np.floating] | None = None) -> Gaussians:
-    """The rows of `g`, finite, moved and turned to where they are in `frame`; nothing else changes.
+    """Move and turn the rows of `g`, finite, to where they are in `frame`; nothing else changes.
 
     `velocity`: (N, 3) by which they are expected to move.
     """
@@ -36,30 +31,21 @@ def carry(g: Gaussians, frame: Gaussians, velocity: NDArray[np.floating] | None 
         return g
     spacing = spacing_of(g.means)
     tree, moved = cKDTree(_features(frame, spacing)), g
-    if velocity is not None:
-        moved = _along(g, velocity.astype(np.float64))
+    if velocity is not None:  # as the rows about them do: what a single row does is noise more often than motion
+        moved = _carried(g, velocity.astype(np.float64), g.opacities().astype(np.float64), NODE_ROWS[-1])
     for rows in NODE_ROWS:
-        moved = _round(moved, frame, tree, spacing, rows)
+        different, match, mutual = _matches(moved, tree, spacing)
+        shift = frame.means[match].astype(np.float64) - moved.means
+        size = np.maximum(np.exp(moved.log_scales.max(axis=1)), spacing)
+        way = np.linalg.norm(shift, axis=1)
+        known = mutual & ((different <= 3 * np.median(different)) | (way <= 0.5 * size))
+        weight = np.where(known, moved.opacities(), 0.0) / (1 + np.square(way / size))
+        moved = _carried(moved, shift, weight, rows)
     return moved
 
 
-def _along(g: Gaussians, velocity: Vectors) -> Gaussians:
-    """The rows moved as those about them move by (N, 3): what a row alone does is noise more often than motion."""
-    return _carried(g, velocity, g.opacities().astype(np.float64), NODE_ROWS[-1])
-
-
-def _round(g: Gaussians, frame: Gaussians, tree: cKDTree, spacing: float, rows: int) -> Gaussians:
-    """The rows after a round whose nodes have so many of them; `tree`: of the features of `frame`."""
-    apart, there, mutual = _matches(g, tree, spacing)
-    shift = frame.means[there].astype(np.float64) - g.means
-    size = np.maximum(np.exp(g.log_scales.max(axis=1)), spacing)
-    way = np.linalg.norm(shift, axis=1)
-    known = mutual & ((apart <= FAR * np.median(apart)) | (way <= NEAR_BY * size))
-    return _carried(g, shift, np.where(known, g.opacities(), 0.0) / (1 + np.square(way / size)), rows)
-
-
 def _carried(g: Gaussians, shift: Vectors, weight: Vectors, rows: int) -> Gaussians:
-    """The rows moved and turned by nodes with so many rows each, as shifts (N, 3) of weight (N,) say."""
+    """The rows moved and turned by nodes of some rows each, by shifts (N, 3) of weight (N,)."""
     here = g.means.astype(np.float64)
     nodes = here[np.linspace(0, len(g) - 1, max(1, len(g) // rows)).astype(int)]
     ties = _ties(here, nodes)
@@ -71,28 +57,28 @@ def _carried(g: Gaussians, shift: Vectors, weight: Vectors, rows: int) -> Gaussi
 
 
 def unmatched(g: Gaussians, frame: Gaussians) -> NDArray[np.intp]:
-    """The rows of `frame` that are no row of `g`, which is where it would be in that frame."""
+    """Return the rows of `frame` that are no row of `g`, which is where it would be in that frame."""
     spacing = spacing_of(g.means)
-    _, there, mutual = _matches(g, cKDTree(_features(frame, spacing)), spacing)
-    return np.setdiff1d(np.arange(len(frame)), there[mutual])
+    _, match, mutual = _matches(g, cKDTree(_features(frame, spacing)), spacing)
+    return np.setdiff1d(np.arange(len(frame)), match[mutual])
 
 
 def _matches(g: Gaussians, tree: cKDTree, spacing: float) -> tuple[Vectors, NDArray[np.intp], NDArray[np.bool_]]:
-    """How far (N,) the row of a tree of features is that is most like each row, which it is, and if both ways."""
+    """(N,) distance of the nearest row in a tree of features, which it is, and if they are nearest both ways."""
     wanted = _features(g, spacing)
-    apart, there = tree.query(wanted, workers=-1)
-    back = cKDTree(wanted).query(tree.data[there], workers=-1)[1]
-    return apart, there, back == np.arange(len(g))
+    distance, match = tree.query(wanted, workers=-1)
+    back = cKDTree(wanted).query(tree.data[match], workers=-1)[1]
+    return distance, match, back == np.arange(len(g))
 
 
 def _features(g: Gaussians, spacing: float) -> Vectors:
-    """(N, 10) mean in units of `spacing`, and attributes, which count for less than in frames of one tracking."""
-    return np.hstack([g.means.astype(np.float64) / spacing, ATTRIBUTE_SHARE * attributes(g)])
+    """(N, 10) mean in units of `spacing`, and attributes, with a fifth of the weight in frames of one tracking."""
+    return np.hstack([g.means.astype(np.float64) / spacing, 0.2 * attributes(g)])
 
 
 def _ties(points: Vectors, nodes: Vectors) -> csr_array:
-    """(N, S) how much each row goes with the nodes next to it, summing to 1."""
-    count = min(NEAR, len(nodes))
+    """(N, S) how much each row moves with the nodes next to it, summing to 1."""
+    count = min(6, len(nodes))
     away, which = cKDTree(nodes).query(points, k=count, workers=-1)
     away, which = away.reshape(len(points), count), which.reshape(len(points), count)
     width = np.maximum(away[:, -1:], np.finfo(np.float64).tiny)  # 0 / 0 where nodes are at one point
@@ -107,7 +93,7 @@ def _motion(ties: csr_array, here: Vectors, shift: Vectors, weight: Vectors) -> 
     pull = (ties.T * weight).tocsr()
     total = pull.sum(axis=1)[:, None] + 1e-12
     centre, move = (pull @ here) / total, (pull @ shift) / total
-    trust = total / (total + DOUBT * np.median(total) + 1e-12)
+    trust = total / (total + 0.2 * np.median(total) + 1e-12)  # of a fifth of the usual weight a node moves half as far
     cross = pull @ np.cross(here, shift) / total - np.cross(centre, move)
     outer = (pull @ np.einsum("ni,nj->nij", here, here).reshape(-1, 9)) / total
     spread = outer.reshape(-1, 3, 3) - np.einsum("ni,nj->nij", centre, centre)

@@ -20,12 +20,12 @@ class Grouping:
 
 
 def named_runs(sequence: GaussianSequence) -> list[tuple[int, int]]:
-    """Frames [start, stop) of each run between named keyframes and `breaks`."""
+    """Return frames [start, stop) of each run between named keyframes and `breaks`."""
     return _between({*sequence.breaks, *(sequence.keyframes or ())}, len(sequence))
 
 
 def count_runs(sequence: GaussianSequence) -> list[tuple[int, int]]:
-    """Frames [start, stop) of each run: between named keyframes, changes of the number of rows, and `breaks`."""
+    """Return frames [start, stop) of each run between named keyframes, changes of the number of rows, and `breaks`."""
     return _between({*count_changes(sequence), *sequence.breaks, *(sequence.keyframes or ())}, len(sequence))
 
 
@@ -34,7 +34,7 @@ def _between(starts: set[int], frames: int) -> list[tuple[int, int]]:
 
 
 def count_changes(sequence: GaussianSequence) -> list[int]:
-    """Frames that are read with another number of rows than the one before."""
+    """Return the frames that are read with another number of rows than the one before."""
     counts = [sequence.count(frame) for frame in range(len(sequence))]
     return [i for i in range(1, len(counts)) if counts[i] != counts[i - 1]]
 
@@ -58,9 +58,9 @@ def _evenly(start: int, stop: int, most: int) -> Iterator[tuple[int, int]]:
 
 
 def closed_groups(sequence: GaussianSequence, start: int, group_frames: int, done: bool) -> list[tuple[int, int]]:
-    """Groups [start, stop) from frame `start` on that no frame will join any more, whether their rows match or not.
+    """Return groups [start, stop) from frame `start` on that no frame will join any more, whether or not rows match.
 
-    The sequence is the part of a growing one that is there; `done` says that no more will come.
+    The sequence is the present part of a growing one, which is complete if `done`.
     """
     spans = []
     for first, stop in named_runs(sequence):

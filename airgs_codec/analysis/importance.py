@@ -1,4 +1,4 @@
-"""Parts that a scene does not need, chosen by the error that pictures rendered without them have. N Gaussians."""
+"""Parts that a scene does not need, chosen by the error of pictures rendered without them. N Gaussians."""
 
 from __future__ import annotations
 
@@ -20,63 +20,36 @@ from airgs_codec.scene.gaussians import Gaussians
 
 PRECISION = 0.01  # of the rows
 CLOSE = 0.85  # of the squared error that is allowed: enough rows are left out
-GUESSES = 6  # of their number, before it is halved
 DETAIL = 37  # times the error that is allowed: where a picture without rows differs by more, it shows something else
-LEAST_PIXELS = 0.05  # that a row gives to such places, all pictures together
-DETAIL_ROUNDS = 5
 WIDEST_CHANGE = 255  # steps: larger values count as this one when entropy is estimated
 
 
 def importance(frames: Sequence[Gaussians], usage: Usage, s: Sensitivity) -> NDArray[np.float64]:
-    """(N,) how much pictures need each row; 0: it is in no picture. Only the order of the values means anything.
+    """Return (N,) how much pictures need each row; 0: it is in no picture. Only the order of the values is meaningful.
 
     A picture is linear in each alpha, so alpha^2 times the squared derivative is exactly the error of leaving one row
-    out. Rows that stand in for each other look cheap one by one; their blending weights (max and sum) keep them.
+    out. Rows that replace each other look cheap one by one; the factors of their blending weights (max and sum) correct
+    that.
     """
-    return usage.peak * usage.total * s.opacity * mean_square_alpha(frames)
-
-
-def mean_square_alpha(frames: Sequence[Gaussians]) -> NDArray[np.float64]:
-    """(N,) mean of the squared alphas of some frames, which are looked at one after the other."""
-    total = np.zeros(len(frames[0]))
+    squares = np.zeros(len(frames[0]))
     for g in frames:
-        total += g.opacities().astype(np.float64) ** 2
-    return total / len(frames)
+        squares += g.opacities().astype(np.float64) ** 2
+    return usage.peak * usage.total * s.opacity * (squares / len(frames))
 
 
 def pooled_error(errors: Sequence[float]) -> float:
-    """The root mean square of the mean squared errors of pictures: their mean, with the worst ones weighing more.
-
-    It lies between the mean and the largest, and equals both where all pictures are alike.
-    """
+    """Return the root mean square of mean squared errors of pictures: a mean in which the worst ones weigh more."""
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
 def pooled_within(errors: Iterable[float], count: int, most: float) -> float:
-    """`pooled_error` of so many errors; infinite, and no more are asked for, where it is sure to be beyond `most`."""
+    """Return `pooled_error` of `count` errors, or infinity as soon as it is sure to be beyond `most`."""
     total = 0.0
     for error in errors:
         total += error**2
         if total > count * most**2:
             return math.inf
     return math.sqrt(total / count)
-
-
-@dataclass(frozen=True, slots=True)
-class ExpectedError:
-    """The mean squared error that pictures are expected to have, part by part."""
-
-    rows: float = 0.0  # without the rows left out
-    held: float = 0.0  # without the updates withheld
-    steps: float = 0.0  # of coding the others
-
-    @property
-    def total(self) -> float:
-        return self.rows + self.held + self.steps
-
-    def at(self, quality: float) -> ExpectedError:
-        """The same with steps times a quality factor, at which what is left out costs as much more."""
-        return ExpectedError(self.rows * quality**2, self.held * quality**2, self.steps * quality**2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,27 +61,24 @@ class WrittenRows:
 
     @staticmethod
     def all(count: int) -> WrittenRows:
-        """All of `count` rows, at no error."""
+        """Return all of `count` rows, at no error."""
         return WrittenRows(np.arange(count), 0.0)
+
+
+Still = tuple[Gaussians, Camera]
 
 
 class RowPruning:
     """Leaves out the least important rows of some frames."""
 
     def __init__(
-        self,
-        pictures: Iterable[tuple[Gaussians, Camera]],
-        rank: NDArray[np.float64],
-        errors: dict[int, float],
-        renderer: Renderer = CPU,
+        self, pictures: Iterable[Still], rank: NDArray[np.float64], errors: dict[int, float], renderer: Renderer = CPU
     ) -> None:
         """`rank` is the (N,) `importance` of the rows; `errors` holds what has been rendered: rows left out -> error.
 
-        Whoever asks for the same pictures again gives the same dictionary, at first an empty one.
+        Callers pass the same dictionary, at first an empty one, for the same pictures.
         """
-        self._pictures = pictures
-        self._renderer = renderer
-        self._order = np.argsort(rank, kind="stable")
+        self._pictures, self._renderer, self._order = pictures, renderer, np.argsort(rank, kind="stable")
         self._errors = errors
         self._errors[0] = 0.0
         self._unused = min(int(np.count_nonzero(rank == 0)), len(rank) - 1)
@@ -116,15 +86,14 @@ class RowPruning:
 
     @cached_property
     def _seen(self) -> list[tuple[Without, NDArray[np.float32]]]:
-        """Give what draws each picture without some rows, and the whole picture."""
         drawn = [self._renderer.load(g).without(camera) for g, camera in self._pictures]
         return [(without, without(None)) for without in drawn]
 
     def within(self, allowed: float) -> WrittenRows:
-        """Rows to keep so that dropping the rest changes pictures by at most `allowed` (RMS, samples in 0..1).
+        """Choose the rows to write so that leaving out the others changes pictures by at most `allowed` (RMS, 0..1).
 
-        Their number is found to PRECISION of the rows that are seen, or to CLOSE of the allowed squared error,
-        beginning with the rows of importance 0 and with all but one. What was rendered before saves time alone.
+        Their number is found to PRECISION of the rows that are seen, or to CLOSE of the allowed squared error, starting
+        with the rows of importance 0 and with all but one. What was rendered before only saves time.
         """
         most, least = allowed**2, max(1, math.ceil(PRECISION * (len(self._order) - self._unused)))
         rows = len(self._order)
@@ -135,16 +104,16 @@ class RowPruning:
             if high - low <= least or known[low] >= CLOSE * most > 0:
                 break
             middle, near = (low + high) // 2, min(least, (high - low) // 2)
-            if guesses < GUESSES and most > 0:
+            if guesses < 6 and most > 0:
                 middle = self._guess(known, middle, (1 + CLOSE) / 2 * most)
             count = min(max(middle, low + near), high - near)
             known[count] = self.error_of(rows - count)
         return WrittenRows(np.sort(self._order[low:]), known[low])
 
     def _guess(self, errors: Mapping[int, float], middle: int, error: float) -> int:
-        """The count with such an error, by the line through the two known ones next to it, in logarithms of both.
+        """The count of an error, by linear interpolation of the two nearest known ones in logarithms, or `middle`.
 
-        `middle` where none tell. Rows that nobody sees do not count.
+        Rows that are in no picture do not count.
         """
         unused = self._unused
         known = {count - unused: math.log(e / error) for count, e in errors.items() if count > unused and e > 0}
@@ -156,50 +125,49 @@ class RowPruning:
         return unused + round(math.exp(min(math.log(a) + share * math.log(b / a), math.log(most))))
 
     def with_details(self, written: WrittenRows, allowed: float) -> WrittenRows:
-        """Add those of the rows left out `within` an error that matter where pictures without them are plainly others.
+        """Add those of the rows left out `within` an error that matter where pictures without them are plainly wrong.
 
-        A mean over pictures does not know small things that people look at, such as eyes.
+        A mean over pictures ignores small things that people look at, such as eyes.
         """
-        keep = np.zeros(len(self._order), bool)
-        keep[written.rows] = True
+        mask = np.zeros(len(self._order), bool)
+        mask[written.rows] = True
         count, pictures = self._last
-        if count != len(keep) - len(written.rows):
-            pictures = self._draw(keep)
-        for rounds in itertools.count(1):
-            fresh = ~keep & (self._lacking(pictures, allowed) > LEAST_PIXELS)
-            if not fresh.any() or rounds > DETAIL_ROUNDS:
+        if count != len(mask) - len(written.rows):
+            pictures = self._draw(mask)
+        for _ in range(5):
+            missing = ~mask & (self._pixels_given(pictures, allowed) > 0.05)
+            if not missing.any():
                 break
-            keep |= fresh
-            pictures = self._draw(keep)
-        errors = [mse(shown, full) for shown, (_, full) in zip(pictures, self._seen, strict=True)]
-        return WrittenRows(np.flatnonzero(keep), pooled_error(errors))
+            mask |= missing
+            pictures = self._draw(mask)
+        return WrittenRows(np.flatnonzero(mask), self._error_in(pictures))
 
-    def _lacking(self, pictures: Sequence[NDArray[np.float32]], allowed: float) -> NDArray[np.float64]:
-        """(N,) pixels that each row gives to places where pictures without some rows are plainly others."""
-        lacking = np.zeros(len(self._order))
+    def _pixels_given(self, pictures: Sequence[NDArray[np.float32]], allowed: float) -> NDArray[np.float64]:
+        """(N,) pixels that each row gives to places where pictures without some rows are plainly wrong."""
+        given = np.zeros(len(self._order))
         for (g, camera), shown, (_, full) in zip(self._pictures, pictures, self._seen, strict=True):
             mask = np.abs(shown - full).max(axis=-1) > DETAIL * allowed
             if mask.any():
                 w = self._renderer.load(g).weights(camera, mask)
-                lacking += np.bincount(w.ids, w.inside, len(lacking))
-        return lacking
+                given += np.bincount(w.ids, w.inside, len(given))
+        return given
 
     def error_of(self, written: int) -> float:
-        """Pooled error of pictures of only the `written` most important rows."""
+        """Return the pooled error of pictures of only the `written` most important rows."""
         left_out = len(self._order) - written
         return self._errors[left_out] if left_out in self._errors else self._error(left_out)
 
     def _error(self, count: int) -> float:
-        """Pooled error of pictures without the `count` least important rows."""
         written = np.ones(len(self._order), bool)
         written[self._order[:count]] = False
         self._last = count, self._draw(written)
-        errors = [mse(shown, full) for shown, (_, full) in zip(self._last[1], self._seen, strict=True)]
-        return self._errors.setdefault(count, pooled_error(errors))
+        return self._errors.setdefault(count, self._error_in(self._last[1]))
 
-    def _draw(self, keep: NDArray[np.bool_]) -> list[NDArray[np.float32]]:
-        """The pictures without the rows that are False in a mask (N,)."""
-        return [without(keep) for without, _ in self._seen]
+    def _error_in(self, pictures: Sequence[NDArray[np.float32]]) -> float:
+        return pooled_error([mse(shown, full) for shown, (_, full) in zip(pictures, self._seen, strict=True)])
+
+    def _draw(self, written: NDArray[np.bool_]) -> list[NDArray[np.float32]]:
+        return [without(written) for without, _ in self._seen]
 
 
 def select_omissions(
@@ -208,12 +176,11 @@ def select_omissions(
     error: Callable[[NDArray[np.bool_], float], float],
     price: float,
 ) -> tuple[NDArray[np.bool_], float]:
-    """Which of (c,) things to leave out, as a mask, and the mean squared error that this makes in rendered pictures.
+    """Choose which of (c,) things to leave out, as a mask, and return the mean squared error that this makes.
 
-    `sizes` are bytes a frame, `guesses` are estimates of the error of leaving each one out, which only rank the
-    things; `error` renders without those of a mask, and may be infinite beyond its second argument. As many are left
-    out as together cost at most half of `price` (squared error a byte), so that the last one pays as well; none where
-    the price is 0.
+    `sizes` are bytes a frame; `guesses`, estimates of the error of leaving each one out, only rank the things; `error`
+    renders without those of a mask, and may be infinite beyond its second argument. As many are left out as together
+    cost at most half of `price` (squared error a byte), so that the last one pays as well; none where the price is 0.
     """
     order = np.argsort(guesses - price * sizes, kind="stable")
     most = int(np.count_nonzero(guesses < price * sizes))
@@ -242,7 +209,7 @@ class CostSums:
         return CostSums(centres, np.zeros((c, 2, 2 * WIDEST_CHANGE + 1), np.int64), np.zeros(c), np.zeros(c))
 
     def add(self, values: NDArray[np.float64], weights: NDArray[np.float64]) -> None:
-        """More rows: (T, c, n) values in steps and (c, n) squared error of pictures for a squared step."""
+        """Add rows: (T, c, n) values in steps and (c, n) squared error of pictures for a squared step."""
         for c, weight in enumerate(weights):
             v = values[:, c] - self.centres[c]
             self.errors[c] += float(np.square(v).mean(axis=0) @ weight)
@@ -252,7 +219,7 @@ class CostSums:
             self.counts[c, 1] += _count(np.diff(whole, axis=0))
 
     def costs(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(c,) bytes of each channel, and (c,) errors without it."""
+        """Return (c,) bytes of each channel, and (c,) errors without it."""
         sizes = [_entropy_bytes(first) + _entropy_bytes(changes) for first, changes in self.counts]
         return np.array(sizes), np.maximum(0.0, self.errors - CODING_VARIANCE * self.weights)
 
@@ -260,12 +227,12 @@ class CostSums:
 def estimate_cost(
     values: NDArray[np.float64], centres: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(c,) bytes that each channel of `values` takes, and (c,) errors if it were constant at its centre instead.
+    """Return (c,) bytes that each channel of `values` takes, and (c,) errors if it were constant at its centre.
 
     `values` (T, c, n) and `centres` (c,) are in steps, `weights` (c, n) are the squared error of pictures for a
     squared step. Bytes are the zero-order entropy of the first picture and of the changes after it; H.264 does a
     little better. Errors are mean squared ones to first order. They take rows as independent, but neighbours that
-    change alike make more error, so they are only good for ranking.
+    change together make more error, so they are only good for ranking.
     """
     sums = CostSums.of(centres)
     sums.add(values, weights)
@@ -273,13 +240,12 @@ def estimate_cost(
 
 
 def _count(whole: NDArray[np.float64]) -> NDArray[np.int64]:
-    """How often each whole number from -WIDEST_CHANGE to WIDEST_CHANGE stands there."""
     places = (np.clip(whole, -WIDEST_CHANGE, WIDEST_CHANGE) + WIDEST_CHANGE).astype(np.intp)
     return np.bincount(places.ravel(), minlength=2 * WIDEST_CHANGE + 1)
 
 
 def _entropy_bytes(counts: NDArray[np.int64]) -> float:
-    """Zero-order entropy of numbers of which each stands there so often, in bytes."""
+    """Zero-order entropy, in bytes, of numbers of which each occurs so often."""
     total = int(counts.sum())
     share = counts[counts > 0] / max(1, total)
     return float(-(share * np.log2(share)).sum()) * total / 8

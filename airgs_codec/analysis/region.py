@@ -1,7 +1,4 @@
-"""What cameras see of a scene, and the viewing region that they suggest. C cameras, P places; N rows.
-
-Cameras that see nothing of a scene tell nothing, however well two pictures agree.
-"""
+"""What cameras see of a scene, and the viewing region that they suggest. C cameras, P places; N rows."""
 
 from __future__ import annotations
 
@@ -21,21 +18,9 @@ from airgs_codec.scene.camera import in_picture, placed, resized, weighted_quant
 from airgs_codec.scene.files import expecting
 from airgs_codec.scene.gaussians import Gaussians
 
-SIDE = 64  # pixels, the longest of pictures that are looked at
-LIT = 1e-3  # of the pixels of a picture, from which it shows something
-OPAQUE = 0.01  # of a pixel, from which it is lit: a faint scene is one, too
-SOLID, FEW, MANY = 0.1, 256, 0.1  # opacity of rows, so many of them, and the share of these, that surely show something
+SIDE = 64  # pixels, the longest of pictures in which something must be seen
 SEEN = 0.02  # of the opacity of all rows, from which cameras are of a scene
 DATAPARSER = "dataparser_transforms.json"  # how nerfstudio turns and scales a scene before it trains it
-
-RIG_SHARE = 0.25  # of the largest distance between two cameras: the margin, where it is the larger one
-DISTANCE_SHARE = 0.1  # of the distance to the content: the other one
-MOST_SHARE = 0.25  # of that distance: no viewer walks further towards what he looks at
-CLEARANCE_SHARE = 0.5  # of the distance to the nearest content that is visible: no viewer walks into it
-NEAREST = 0.02  # share of what a picture shows that may lie nearer than the clearance
-ONE_SIDE = 0.5  # length of the mean of the directions in which cameras look, seen from above: about 220 degrees
-TURN = 5.0  # degrees that a viewer may look off the focus
-LOOK_PIXELS = 128  # on the longer side, enough to see how far away the content is
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,36 +33,31 @@ class Sight:
 
 
 def see(cameras: Sequence[Camera], gaussians: Gaussians, renderer: Renderer = CPU) -> Sight:
-    """Look at a frame, which is finite, with cameras."""
+    """Return what cameras see of a frame, which is finite."""
     loaded, weights = renderer.load(gaussians), gaussians.opacities().astype(np.float64)
-    sight, drawn = Sight([], [], 0.0), np.zeros(len(weights), bool)
-    for camera in with_near_planes(cameras, gaussians):
+    drawn, near = np.zeros(len(weights), bool), with_near_planes(cameras, gaussians)
+    for camera in near:
         drawn |= loaded.contribution(_small(camera, SIDE)).total > 0
-        if shows(loaded, camera):
-            sight.cameras.append(camera)
-        else:
-            sight.blind.append(camera.name)
     share = float(weights @ drawn / max(weights.sum(), np.finfo(np.float64).tiny))
-    return Sight(sight.cameras, sight.blind, share)
+    sees = [shows(loaded, camera) for camera in near]
+    blind = [camera.name for camera, one in zip(near, sees, strict=True) if not one]
+    return Sight([camera for camera, one in zip(near, sees, strict=True) if one], blind, share)
 
 
 def seeing(cameras: Iterable[Camera], gaussians: Gaussians, renderer: Renderer = CPU) -> list[Camera]:
-    """Those of some cameras with near planes that see something of a frame.
-
-    A camera that has many opaque rows in its picture is not tried.
-    """
-    loaded, opaque = renderer.load(gaussians), gaussians.means[gaussians.opacities() > SOLID].astype(np.float64)
-    some = opaque[:: max(1, len(opaque) // FEW)]
+    """Return the cameras with near planes that see something of a frame; many opaque rows in a picture suffice."""
+    loaded, opaque = renderer.load(gaussians), gaussians.means[gaussians.opacities() > 0.1].astype(np.float64)
+    some = opaque[:: max(1, len(opaque) // 256)]
 
     def sees(camera: Camera) -> bool:
-        return (len(some) >= FEW and in_picture(camera, some)[0].mean() > MANY) or shows(loaded, camera)
+        return (len(some) >= 256 and in_picture(camera, some)[0].mean() > 0.1) or shows(loaded, camera)
 
     return list(filter(sees, cameras))
 
 
 def shows(loaded: Loaded, camera: Camera) -> bool:
-    """Whether a camera sees something."""
-    return float((loaded.draw(_small(camera, SIDE)).transmittance < 1 - OPAQUE).mean()) >= LIT
+    """Return whether one of a thousand pixels of a camera's picture is at least 1 % opaque."""
+    return float((loaded.draw(_small(camera, SIDE)).transmittance < 0.99).mean()) >= 1e-3
 
 
 def _small(camera: Camera, side: int) -> Camera:
@@ -85,7 +65,7 @@ def _small(camera: Camera, side: int) -> Camera:
 
 
 def in_trained_frame(cameras: Sequence[Camera], path: Path) -> list[Camera]:
-    """The cameras of a data set as nerfstudio trained on them, which DATAPARSER tells. Raises SceneError."""
+    """Return the cameras of a data set as nerfstudio trained on them, by a file DATAPARSER. Raises SceneError."""
     with expecting(path, '{"transform": [[…], …], "scale": number}'):
         data = json.loads(path.read_text(encoding="utf-8-sig"))
         transform, scale = np.asarray(data["transform"], np.float64).reshape(3, 4), float(data["scale"])
@@ -97,13 +77,13 @@ def in_trained_frame(cameras: Sequence[Camera], path: Path) -> list[Camera]:
 def region_around(
     cameras: Sequence[Camera], gaussians: Gaussians, *, margin: float | None = None, source: str = "cameras"
 ) -> Region:
-    """The region about the cameras of a scene; `gaussians` are one of its frames, finite.
+    """Return the region about the cameras of a scene; `gaussians` are one of its frames, finite.
 
     Every camera is a place, or MAX_PLACES of them that are far from each other; of the cameras of a scene the one in
     the middle is the first, where viewers begin. Its focus is as far away as the median of what it sees. A place
     reaches as far as `margin` (world units): by default a quarter of the largest distance between two cameras or a
     tenth of the median distance to the content, whichever is larger, but at most a quarter of that distance; and never
-    further than half-way to the nearest content. Without a margin nobody may turn either.
+    further than half-way to the nearest content. A viewer may look 5 degrees off the focus, without a margin 0.
 
     Raises ConfigError for a margin that is not 0 or more.
     """
@@ -115,13 +95,13 @@ def region_around(
     if margin is None:
         rig = float(np.linalg.norm(positions[chosen][:, None] - positions[chosen][None], axis=2).max())
         content = float(np.median([distance for distance, _ in distances]))
-        margin = min(max(RIG_SHARE * rig, DISTANCE_SHARE * content), MOST_SHARE * content)
+        margin = min(max(0.25 * rig, 0.1 * content), 0.25 * content)
     first = cameras[chosen[0]]
     places = []
     for camera, (distance, clearance) in zip((cameras[i] for i in chosen), distances, strict=True):
         rotation, position = camera.world_to_camera[:3, :3], camera.position
         ends = _rounded(position, distance), _rounded(position + distance * rotation[2], distance)
-        reach = float(f"{min(margin, CLEARANCE_SHARE * clearance):.7g}")
+        reach = float(f"{min(margin, 0.5 * clearance):.7g}")
         places.append(Place(*ends, _rounded(-rotation[1], 1.0), reach))
     return Region(
         source=source,
@@ -129,7 +109,7 @@ def region_around(
         height=first.height,
         fov_y=float(np.degrees(2 * np.arctan(first.height / 2 / first.fy))),
         near=min(cameras[i].near for i in chosen),
-        turn=TURN if margin > 0 else 0.0,
+        turn=5.0 if margin > 0 else 0.0,
         places=_middle_first(places) if source == "cameras" else places,
     )
 
@@ -137,13 +117,13 @@ def region_around(
 def _middle_first(places: list[Place]) -> list[Place]:
     """The places, first the one from which the others are nearest, with what they look at.
 
-    Those all round a scene have no middle, but for one above it that nobody would begin at: they stay as they were.
+    Those all round a scene have no middle, except one above it where nobody would begin: their order stays.
     """
     ends = np.array([[place.position, place.focus] for place in places])
     up, ahead = np.mean([place.up for place in places], axis=0), ends[:, 1] - ends[:, 0]
     level = np.cross(up, np.cross(ahead, up))
     lengths = np.maximum(np.linalg.norm(level, axis=1, keepdims=True), np.finfo(np.float64).tiny)  # straight down: 0
-    if np.linalg.norm(np.mean(level / lengths, axis=0)) < ONE_SIDE:
+    if np.linalg.norm(np.mean(level / lengths, axis=0)) < 0.5:  # they look in directions of more than 220 degrees
         return places
     middle = int(np.argmin([float(np.linalg.norm(ends - one, axis=2).sum()) for one in ends]))
     return [places[middle], *places[:middle], *places[middle + 1 :]]
@@ -156,17 +136,17 @@ def _rounded(vector: NDArray[np.float64], size: float) -> list[float]:
 
 def _distances(camera: Camera, g: Gaussians) -> tuple[float, float]:
     """How far away along the view axis is what a camera sees, by the median, and how far its nearest part."""
-    weight = measure_contribution(g, _small(camera, LOOK_PIXELS)).total
+    weight = measure_contribution(g, _small(camera, 128)).total
     offsets = g.means.astype(np.float64) - camera.position
     if not weight.any():  # an empty picture: all of the scene counts
         weight = np.ones(len(g))
     depth = np.abs(offsets @ camera.world_to_camera[2, :3])
     distance = max(weighted_quantile(depth, weight, 0.5), camera.near)  # near: of 0 the focus would have no direction
-    return distance, weighted_quantile(np.linalg.norm(offsets, axis=1), weight, NEAREST)
+    return distance, weighted_quantile(np.linalg.norm(offsets, axis=1), weight, 0.02)
 
 
 def _far_apart(positions: NDArray[np.float64], most: int) -> list[int]:
-    """At most so many of (C, 3) positions, each as far as possible from those before it, in their order."""
+    """At most `most` of (C, 3) positions, each as far as possible from those before it, in their order."""
     chosen: list[int] = []
     nearest = np.full(len(positions), np.inf)
     for _ in range(min(most, len(positions))):

@@ -1,8 +1,8 @@
-"""Sequences whose rows lost their order, or that lack rows in some frames: rows of a run of frames made to correspond.
+"""Sequences whose rows lost their order, or are missing in some frames: rows of a run of frames made to correspond.
 
 Row n of a frame must be the same Gaussian in all frames of a group. Where it is not, since writers sort frames anew and
-drop Gaussians that they do not need, rows are matched with those that were seen before; a row that a frame lacks has no
-opacity in it. A frame whose rows cannot be matched starts a group. N Gaussians of a run, n rows of a frame.
+drop Gaussians that they do not need, rows are matched with those of earlier frames; a missing row has no opacity in a
+frame. A frame whose rows cannot be matched starts a group. N Gaussians of a run, n rows of a frame.
 """
 
 from __future__ import annotations
@@ -23,31 +23,27 @@ from airgs_codec.scene.sequence import GaussianSequence
 ROWS = ("auto", "keep", "match")
 AUTO, KEEP, MATCH = ROWS
 COST = "a frame coded alone takes five to twenty times the bytes of a tracked one"  # fox 5, spinach 7 and 22
-LEAST_KNOWN = 0.5  # share of the rows of a frame that a run knows; with fewer the frame starts another
-LOOKED_FRAMES = 3  # of a sequence, before work begins
-FEW_MISSING = 0.1  # share of the Gaussians that a frame may lack; with more of them rows are hardly the same
-MOST_MISSING = 0.5  # share of the Gaussians of a run that its fullest frame may lack; with more it ends
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Restored:
-    """A sequence whose rows correspond inside every group, and what was done about those that did not."""
+    """A sequence whose rows correspond inside every group, and how."""
 
     sequence: GaussianSequence
     matched: tuple[int, ...] = ()  # frames whose rows were put into the order of those before
     sure: float = 1.0  # share of their rows, the mean over these frames
-    missing: float = 0.0  # share of the Gaussians of a run that a frame lacks, the mean over all frames
+    missing: float = 0.0  # share of the Gaussians of a run that are missing in a frame, the mean over all frames
     unmatched: tuple[int, ...] = ()  # frames whose rows could not be matched with those of the frame before
     alone: tuple[int, ...] = ()  # of these, frames with another number of rows than those on both sides
 
     @property
     def notes(self) -> list[str]:
-        """Tell what happened, and what it costs, in a sentence each."""
+        """Return what happened, and what it costs, in a sentence each."""
         notes = []
         if self.matched:
             how = f"matched again, {self.sure:.1%} of them with confidence"
-            lacking = f"; a frame lacks {self.missing:.1%} of them on average" if self.missing else ""
-            notes.append(f"{spans_of(self.matched)}: rows were out of order; {how}{lacking}")
+            missing = f"; a frame lacks {self.missing:.1%} of them on average" if self.missing else ""
+            notes.append(f"{spans_of(self.matched)}: rows were out of order; {how}{missing}")
         if self.unmatched:
             reason = f"rows are not those of the frame before (under {LEAST_SURE:.0%} could be matched with confidence)"
             notes.append(f"{spans_of(self.unmatched)}: {reason}; each starts a group, and {COST}")
@@ -57,23 +53,18 @@ class Restored:
         return notes
 
 
-@dataclass(frozen=True, slots=True)
-class Outlook:
-    """What the first frames say of the rows of all."""
+def first_look(sequence: GaussianSequence, rows: str = AUTO) -> tuple[bool, str]:
+    """Return whether the first three frames share rows, in whatever order, and a phrase unless they are in order.
 
-    shared: bool  # rows are the same Gaussians, in whatever order
-    words: str  # what is known of them; empty where they are in order
-
-
-def outlook(sequence: GaussianSequence, rows: str = AUTO) -> Outlook:
-    """Look at the rows of the first LOOKED_FRAMES frames. Raises SceneError for a broken frame."""
-    looked = min(LOOKED_FRAMES, len(sequence))
-    found = restore_rows(sequence, rows, frames=range(looked))
+    Raises SceneError for a broken frame.
+    """
+    count = min(3, len(sequence))
+    found = restore_rows(sequence, rows, frames=range(count))
     if found.unmatched or len(found.sequence.breaks) > len(sequence.breaks):
-        return Outlook(False, f"rows: the first {looked} frames do not share them")
-    if found.missing > FEW_MISSING:
-        return Outlook(False, f"rows: of those of the first {looked} frames, each lacks {found.missing:.0%}")
-    return Outlook(True, "rows: out of order, so they are matched again" if found.matched else "")
+        return False, f"rows: the first {count} frames do not share them"
+    if found.missing > 0.1:  # rows are hardly the same
+        return False, f"rows: of those of the first {count} frames, each lacks {found.missing:.0%}"
+    return True, "rows: out of order, so they are matched again" if found.matched else ""
 
 
 def restore_rows(
@@ -88,19 +79,15 @@ def restore_rows(
 
     `rows`: "auto" compares each frame with the one before and matches those that lost their order or have another
     number of rows; "keep" takes rows as they are; "match" matches every frame, whether it looks out of order or not.
-    `frames`: only these are looked at, by default all. `in_order`: somebody has looked at all frames of equal numbers
-    of rows, and none lost its order. Raises SceneError for a broken frame.
+    `frames`: only these are looked at, by default all. `in_order`: all frames of equal numbers of rows were compared,
+    and none lost its order. Raises SceneError for a broken frame.
     """
-    asked = range(len(sequence)) if frames is None else frames
-    if rows == KEEP:
-        return Restored(sequence)
-    runs = [(max(a, asked.start), min(b, asked.stop)) for a, b in named_runs(sequence)]
-    runs = [(start, stop) for start, stop in runs if start < stop]
     changes = set(count_changes(sequence))
-    lone = [frame for frame in _alone(sequence) if frame in asked]
-    if rows == AUTO and in_order and not changes:
+    if rows == KEEP or (rows == AUTO and in_order and not changes):
         return Restored(sequence)
-    done: list[_Run] = []
+    asked = range(len(sequence)) if frames is None else frames
+    runs = [(max(a, asked.start), min(b, asked.stop)) for a, b in named_runs(sequence)]
+    runs, done = [(start, stop) for start, stop in runs if start < stop], list[_Run]()
     for start, stop in runs:
         done.append(_Run(start, sequence.read(start), rows))
         for frame in range(start + 1, stop):
@@ -118,7 +105,7 @@ def restore_rows(
         float(np.mean(list(sure.values()))) if sure else 1.0,
         float(np.mean([(order == NONE).mean() for order in orders.values()])) if orders else 0.0,
         tuple(frame for frame in breaks if frame not in changes),
-        tuple(frame for frame in lone if frame not in orders),
+        tuple(frame for frame in _alone(sequence) if frame in asked and frame not in orders),
     )
 
 
@@ -135,21 +122,17 @@ class _Run:
         self._velocity = np.zeros((len(first), 3), np.float32)  # (N, 3) world units a frame
 
     def add(self, number: int, frame: Gaussians) -> bool:
-        """Take the next frame; False where it has nothing to do with those before, and is not of the run."""
-        state = LOST
+        """Take the next frame; False where it is unrelated to those before, and not of the run."""
+        state, ids = LOST, self._ids[-1]
         if not self._matches_all and len(frame) == len(self._file):
             state, _ = compare_order(self._file, frame)
-        if state == IN_ORDER:
-            ids = self._ids[-1]
-        elif state == LOST:
-            found = self._match(frame)
+        if state != IN_ORDER:
+            found = self._match(frame) if state == LOST else None
             if found is None:
                 return False
             ids, sure = found
             if len(frame) != len(self._file) or not np.array_equal(ids, self._ids[-1]):
                 self.sure[number] = sure
-        else:
-            return False
         self._take(number, frame, ids)
         return True
 
@@ -157,44 +140,40 @@ class _Run:
         """(n,) which Gaussian each row of a frame is, and the share of sure ones; None where too few are known."""
         with np.errstate(over="ignore", invalid="ignore"):
             expected = replace(self._known, means=self._known.means + self._velocity)
-        matched = match_rows(expected, frame)
-        there = np.flatnonzero(matched.order != NONE)
+        order, sure = match_rows(expected, frame)
+        known = np.flatnonzero(order != NONE)
         ids = np.full(len(frame), NONE, np.int32)
-        ids[matched.order[there]] = there
+        ids[order[known]] = known
         born = np.flatnonzero(ids == NONE)
-        others = len(frame) != len(self._file)
-        if others and (matched.sure < LEAST_SURE or len(born) > (1 - LEAST_KNOWN) * len(frame)):
+        if len(frame) != len(self._file) and (sure < LEAST_SURE or len(born) > 0.5 * len(frame)):
             return None
         count = len(self._known) + len(born)
-        if count * (1 - MOST_MISSING) > max(len(frame), *(len(known) for known in self._ids)):
+        if 0.5 * count > max(len(frame), *map(len, self._ids)):  # the fullest frame would not have half of them
             return None
         ids[born] = np.arange(len(self._known), count)
-        return ids, matched.sure
+        return ids, sure
 
     def _take(self, number: int, frame: Gaussians, ids: NDArray[np.int32]) -> None:
-        """Remember what the rows of a frame look like."""
         born = np.flatnonzero(ids >= len(self._known))
         if len(born):
             self._known = Gaussians.join([self._known, frame.take(born)])
             self._seen = np.concatenate([self._seen, np.full(len(born), number)])
             self._velocity = np.concatenate([self._velocity, np.zeros((len(born), 3), np.float32)])
         order = _inverse(ids, len(self._known))
-        there = order != NONE
-        now = frame.take(np.maximum(order, 0))
-        goes_on = there & (self._seen == self._at)
+        present, now = order != NONE, frame.take(np.maximum(order, 0))
+        moved = present & (self._seen == self._at)
         with np.errstate(over="ignore", invalid="ignore"):
-            self._velocity = np.where(goes_on[:, None], now.means - self._known.means, np.float32(0))
-        self._known = mix_rows(now, self._known, there)
-        self._seen[there] = number
+            self._velocity = np.where(moved[:, None], now.means - self._known.means, np.float32(0))
+        self._known = mix_rows(now, self._known, present)
+        self._seen[present] = number
         self._ids.append(ids)
         self._file, self._at = frame, number
 
     def orders(self) -> dict[int, NDArray[np.int32]]:
         """(N,) rows of the file of each frame that does not have just these rows in just this order."""
         count = len(self._known)
-        as_in_file = np.arange(count)
         found = {self.start + i: _inverse(ids, count) for i, ids in enumerate(self._ids)}
-        return {frame: order for frame, order in found.items() if not np.array_equal(order, as_in_file)}
+        return {frame: order for frame, order in found.items() if not np.array_equal(order, np.arange(count))}
 
 
 def _inverse(ids: NDArray[np.int32], count: int) -> NDArray[np.int32]:
@@ -212,7 +191,7 @@ def _alone(sequence: GaussianSequence) -> tuple[int, ...]:
 
 
 def spans_of(frames: Sequence[int]) -> str:
-    """Frame numbers, ascending, in words: frame 7, or frames 1-4, 7, 9-11."""
+    """Return frame numbers, ascending, in words: frame 7, or frames 1-4, 7, 9-11."""
     spans: list[str] = []
     for _, members in itertools.groupby(enumerate(frames), key=lambda pair: pair[1] - pair[0]):
         numbers = [number for _, number in members]

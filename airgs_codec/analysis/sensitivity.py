@@ -56,31 +56,28 @@ class Sensitivity(Columns):
     sh_rest: NDArray[np.float64]  # (N,)
 
     def by_attribute(self) -> NDArray[np.float64]:
-        """(6, N) the same as one array, in the order of `package.tables.DELTA_ATTRIBUTES`."""
+        """Return (6, N) the same as one array, in the order of `package.tables.DELTA_ATTRIBUTES`."""
         return np.stack([getattr(self, name) for name in DELTA_ATTRIBUTES])
 
 
 def measure_sensitivity(
     frames: Sequence[Gaussians], cameras: Sequence[Camera], renderer: Renderer = CPU
 ) -> Sensitivity:
-    """Mean over `frames` (of one group) and at most MAX_VIEWS cameras spread evenly."""
+    """Return the mean over `frames` (of one group) and at most MAX_VIEWS cameras spread evenly."""
     chosen = [cameras[i] for i in evenly_spaced(len(cameras), MAX_VIEWS)]
     return measure_views([(frame, camera) for frame in frames for camera in chosen], renderer)[1]
 
 
 def measure_views(pictures: Iterable[tuple[Gaussians, Camera]], renderer: Renderer = CPU) -> tuple[Usage, Sensitivity]:
-    """Usage of the rows of a group in some pictures and their sensitivity, each picture drawn once for both.
+    """Measure usage and sensitivity of the rows of a group in some pictures, each drawn once for both.
 
     A picture is a frame of the group and a camera; pictures of one frame that follow each other share work. One random
     sign a picture sample: the squared derivative of a signed sum is, on average over signs, the sum of squared
     derivatives (Hutchinson 1990). The signs are the same in every run. At least one picture; iterated over twice.
     """
-    rng = np.random.default_rng(0)
-    rows = len(next(iter(pictures))[0])
-    usage = UsageSums(rows)
-    squares = np.zeros((len(fields(Sensitivity)), rows))
-    samples = 0
-    shown = None
+    rng, rows = np.random.default_rng(0), len(next(iter(pictures))[0])
+    usage, squares = UsageSums(rows), np.zeros((len(fields(Sensitivity)), rows))
+    samples, shown = 0, None
     for frame, camera in pictures:
         if frame is not shown:
             shown, loaded = frame, renderer.load(frame)

@@ -1,8 +1,8 @@
 """Which way is up in a scene that comes without cameras, and where its front is.
 
 Candidates are the six directions of the axes and those away from and into a floor, the plane that all else is on one
-side of. What files mostly have decides between them, unless the scene itself speaks: a floor before all; else feet and
-upright mirrors; in a filmed place what is light above what is dark.
+side of. Unless the scene itself says so, what files mostly have decides: a floor before all; else feet and upright
+mirrors; in a filmed place what is light above what is dark.
 
 n points of a frame, drawn by how much their rows can cover, in units of the size of the scene; N rows.
 """
@@ -21,21 +21,14 @@ from airgs_codec.scene.gaussians import SH_C0, Gaussians, to_matrices
 
 Vectors = NDArray[np.float64]
 
-POINTS, MIRRORED, NEIGHBOURS = 2000, 300, 9  # points, those that are mirrored, those whose colours are detail
-HEADINGS = np.radians(np.arange(0, 180, 10))  # of mirrors that contain a direction
-ENDS = (0.005, 0.995)  # quantiles of heights: below and above is what floats
-FOOT = 0.06  # of the height: what touches the ground
 SAME = np.cos(np.radians(20))  # directions nearer to each other count as one
-LEAST = 1e-4  # of the size: keeps ln(0) and 0 / 0 out
+SMALLEST = 1e-4  # of the size: avoids ln(0) and 0 / 0
 
-AXES = np.concatenate([np.eye(3), -np.eye(3)])
-HABITS = np.array([0, 2, 1, 0, 2, 0])  # votes for AXES: structure from motion mostly leaves -y up, programs y or z
+SIX_AXES = np.concatenate([np.eye(3), -np.eye(3)])
+HABITS = np.array([0, 2, 1, 0, 2, 0])  # votes for SIX_AXES: structure from motion mostly has -y up, programs y or z
 FLOOR_VOTES, FOOT_VOTES, MIRROR_VOTES, LIGHT_VOTES = 20.0, 4.7, 3.5, 10.0
 
-FLOOR_ROWS, TRIED = 10_000, 400  # rows and directions that a floor is looked for in; directions are 10 degrees apart
 CONE = np.cos(np.radians(15))  # rows lie in a plane when their normals differ less from its own
-THICKNESS, ROUGH = 0.03, 2.0  # of a floor, in extents of the scene; thicknesses about it on no side of it
-FLOOR_SHARE, SIDES = 0.15, 3.0  # of the area of all rows lies in a floor, and as much more above it as below, at least
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,104 +45,103 @@ class Subject:
         low, high = np.quantile(frame.means.astype(np.float64), [0.01, 0.99], axis=0)
         centre, size = (low + high) / 2, float(np.linalg.norm(high - low) + np.finfo(np.float32).tiny)
         shares = surfaces(frame) + np.finfo(np.float64).tiny
-        count = min(POINTS, len(frame))
+        count = min(2000, len(frame))
         g = frame.take(np.sort(np.random.default_rng(0).choice(len(frame), count, p=shares / shares.sum())))
         at, colours = (g.means - centre) / size, (0.5 + SH_C0 * g.sh_dc.astype(np.float64)).clip(0, 1)
-        near = KDTree(at).query(at, k=min(NEIGHBOURS, count))[1].reshape(count, -1)
+        near = KDTree(at).query(at, k=min(9, count))[1].reshape(count, -1)
         return Subject(at, colours.mean(axis=1), colours[near].std(axis=1).mean(axis=1), find_floor(frame))
 
 
 def guess_up(subject: Subject, filmed: bool = False) -> Vectors:
-    """(3,) the direction that is probably up, of length 1; `filmed`: the subject is a place, which has no outside."""
-    candidates, plane = AXES, subject.floor
+    """Return (3,) the direction that is probably up, of length 1; `filmed`: the subject is a place without outside."""
+    candidates, plane = SIX_AXES, subject.floor
     if plane is not None:
-        candidates = np.concatenate([AXES[np.abs(AXES @ plane) < SAME], [plane, -plane]])
+        candidates = np.concatenate([SIX_AXES[np.abs(SIX_AXES @ plane) < SAME], [plane, -plane]])
     votes = [_votes(subject, up, filmed) for up in candidates]
     return np.asarray(candidates[int(np.argmax(votes))])
 
 
 def _votes(subject: Subject, up: Vectors, filmed: bool) -> float:
     heights = subject.at @ up
-    low, high = np.quantile(heights, ENDS)
-    heights = (heights - low) / max(float(high - low), LEAST)  # 0 at the lowest, 1 at the highest
-    votes = float(HABITS @ (up @ AXES.T > SAME))
+    low, high = np.quantile(heights, [0.005, 0.995])  # what is below and above floats
+    heights = (heights - low) / max(float(high - low), SMALLEST)  # 0 at the lowest, 1 at the highest
+    votes = float(HABITS @ (up @ SIX_AXES.T > SAME))
     if filmed:
         above, lighter = (values - values.mean() for values in (heights.clip(0, 1), subject.light))
-        return votes + LIGHT_VOTES * float((above * lighter).mean() / max(above.std() * lighter.std(), LEAST))
+        return votes + LIGHT_VOTES * float((above * lighter).mean() / max(above.std() * lighter.std(), SMALLEST))
     if subject.floor is not None:
         votes += FLOOR_VOTES * float(subject.floor @ up > SAME)
     flat = subject.at @ _across(up).T
-    with suppress(QhullError, ValueError):  # fewer than three points, or in a line
-        votes += FOOT_VOTES * float(ConvexHull(flat[heights < FOOT]).volume / ConvexHull(flat).volume)
-    return votes - MIRROR_VOTES * float(np.log(max(_mirrors(subject.at, up)[0].min(), LEAST)))
+    with suppress(QhullError, ValueError):  # fewer than three points, or collinear ones
+        votes += FOOT_VOTES * float(ConvexHull(flat[heights < 0.06]).volume / ConvexHull(flat).volume)
+    return votes - MIRROR_VOTES * float(np.log(max(_mirrors(subject.at, up)[0].min(), SMALLEST)))
 
 
 def surfaces(gaussians: Gaussians) -> Vectors:
-    """(N,) how much each row can cover, 0 to 1; the largest hundredth of them count alike, for a haze is no surface."""
+    """Return (N,) how much each row can cover, 0 to 1; the largest hundredth count as one: a haze is no surface."""
     areas = gaussians.areas()
     return np.asarray(np.minimum(areas / max(float(np.quantile(areas, 0.99)), np.finfo(np.float64).tiny), 1))
 
 
 def find_front(subject: Subject, up: Vectors) -> Vectors:
-    """(3,) from where a thing that is upright along `up` (3,) is looked at: along its mirror, where the detail is."""
+    """Return (3,) where the front of a thing upright along `up` (3,) is: along its mirror, where the detail is."""
     unlike, normals = _mirrors(subject.at, up)
     ahead = np.cross(up, normals[unlike.argmin()])
     along = subject.at @ ahead
-    more = np.average(along, weights=subject.detail + LEAST) - along.mean()
+    more = np.average(along, weights=subject.detail + SMALLEST) - along.mean()
     return np.asarray(ahead if more >= 0 else -ahead)
 
 
 def _mirrors(at: Vectors, up: Vectors) -> tuple[Vectors, Vectors]:
-    """How unlike halves on both sides of mirrors that contain `up` are, as a distance; and (H, 3) their normals."""
-    a, b = _across(up)
-    normals = np.cos(HEADINGS)[:, None] * a + np.sin(HEADINGS)[:, None] * b
+    """How much halves on both sides of mirrors that contain `up` differ, as a distance; and (H, 3) their normals."""
+    (a, b), headings = _across(up), np.radians(np.arange(0, 180, 10))[:, None]
+    normals = np.cos(headings) * a + np.sin(headings) * b
     away = at @ normals.T
     middles = np.quantile(away, [0.01, 0.99], axis=0).mean(axis=0)
-    some = slice(None, None, max(1, len(at) // MIRRORED))
+    some = slice(None, None, max(1, len(at) // 300))
     images = at[some, None] - 2 * (away[some] - middles)[..., None] * normals
     return KDTree(at).query(images)[0].mean(axis=0), normals
 
 
 def _across(up: Vectors) -> Vectors:
-    """(2, 3) two directions at right angles to `up` and to each other."""
     return np.asarray(np.linalg.svd(up[None])[2][1:])
 
 
 def find_floor(gaussians: Gaussians) -> Vectors | None:
-    """The direction (3,) that is up where rows stand on a floor, of length 1; None without a floor.
+    """Return the direction (3,) that is up where rows stand on a floor, of length 1; None without a floor.
 
     The thin axis of a flat row is the normal of the surface that it lies in. `gaussians` are repaired.
     """
-    g = gaussians.take(np.sort(np.random.default_rng(0).permutation(len(gaussians))[:FLOOR_ROWS]))
+    g = gaussians.take(np.sort(np.random.default_rng(0).permutation(len(gaussians))[:10_000]))
     areas = surfaces(g)
     normals = to_matrices(g.quaternions)[np.arange(len(g)), :, np.argmin(g.log_scales, axis=1)].astype(np.float64)
     weights = areas * flatness(g)
-    tried = spiral(TRIED)
+    tried = spiral(400)  # 10 degrees apart
     commonest = tried[np.argmax((np.abs(normals @ tried.T) > CONE).T @ weights)]
     near = np.abs(normals @ commonest) > CONE
     up = np.linalg.eigh((normals[near] * weights[near, None]).T @ normals[near])[1][:, -1]
     heights = g.means.astype(np.float64) @ up
     lying = np.abs(normals @ up) > CONE
     low, high = _heaviest_slab(heights[lying], weights[lying], heights)
-    share = float(weights[lying & (heights >= low) & (heights < high)].sum()) / max(float(areas.sum()), LEAST)
-    margin = ROUGH * (high - low)
+    share = float(weights[lying & (heights >= low) & (heights < high)].sum()) / max(float(areas.sum()), SMALLEST)
+    margin = 2 * (high - low)
     below, above = float(areas[heights < low - margin].sum()), float(areas[heights >= high + margin].sum())
-    if share < FLOOR_SHARE or max(below, above) < SIDES * min(below, above):
+    if share < 0.15 or max(below, above) < 3 * min(below, above):
         return None
     return np.asarray(up if above > below else -up)
 
 
 def flatness(gaussians: Gaussians) -> NDArray[np.float32]:
-    """(N,) 0 for rows that are needles or balls, 1 for discs."""
+    """Return (N,) 0 for rows that are needles or balls, 1 for discs."""
     scales = np.sort(gaussians.log_scales, axis=1)
     return (1 - np.exp(scales[:, 0] - scales[:, 1])) ** 2
 
 
 def _heaviest_slab(values: Vectors, weights: Vectors, heights: Vectors) -> tuple[float, float]:
-    """The interval THICKNESS of the extent of `heights` wide with the most weight of `values`."""
+    """The interval with the most weight of `values` that is 3 % of the extent of `heights` wide."""
     low, high = np.quantile(heights, [0.001, 0.999])
     finest = 4 * np.spacing(max(abs(low), abs(high), np.finfo(np.float32).tiny))  # the edges differ
-    step = max(THICKNESS * (high - low) / 2, finest)
+    step = max(0.03 * (high - low) / 2, finest)
     edges = np.arange(low - 2 * step, high + 3 * step, step)
     halves = np.histogram(values, edges, weights=weights)[0]
     best = int(np.argmax(halves[:-1] + halves[1:]))

@@ -33,13 +33,13 @@ from airgs_codec.scene.sequence import GaussianSequence
 from airgs_codec.trainer import default_settings, model_folder, require_torch
 from airgs_codec.trainer.data.multiview import MultiviewScene, frames_of, with_held_out, with_near
 from airgs_codec.trainer.data.readers import has_gaussians, open_scene, shortened
-from airgs_codec.trainer.settings import AUTO, FIRST, FIRST_A_VIEW, OFF, PRESETS, TrainSettings, preset
+from airgs_codec.trainer.settings import AUTO, FIRST, FIRST_A_VIEW, OFF, TRAIN_PRESETS, TrainSettings, preset
 from airgs_codec.trainer.track import decide, pictured, track_settings
 
 if TYPE_CHECKING:  # torch is imported when training begins
     from airgs_codec.jobs.work import Work
-    from airgs_codec.trainer.pipeline import Run
-    from airgs_codec.trainer.record import FrameRecord, Model
+    from airgs_codec.trainer.pipeline import TrainingRun
+    from airgs_codec.trainer.record import FrameRecord, ModelFolder
 
 DEFAULTS = TrainSettings()
 FIT_ITERATIONS = ("first_iterations", "keyframe_iterations", "frame_iterations")
@@ -58,9 +58,9 @@ class Train(WorkOptions):
     output: Path | None = setting(None, "model folder", alias="-o", metavar="DIR", default="SCENE.gaussians")
     resume: bool = setting(False, "go on with the run in the model folder")
     preset: str = setting(
-        PRESETS[0],
+        TRAIN_PRESETS[0],
         "settings to begin with: paper has the AirGS paper's method and constants, read literally",
-        choices=PRESETS,
+        choices=TRAIN_PRESETS,
     )
     frames: str = setting(":", FRAMES, metavar="A:B", default="all")
     fps: Fraction | None = setting(None, "frames a second", default="what the scene says, else 30", **RATE)
@@ -221,7 +221,7 @@ def _settings(options: Train, usual: TrainSettings, views: int = 1) -> TrainSett
     return replace(base, **(counts | dict(options.settings)))
 
 
-def summary(model: Model) -> dict[str, Any]:
+def summary(model: ModelFolder) -> dict[str, Any]:
     """The record as JSON has it, and what it comes to: means over frames; PSNR as `psnr_definition` says."""
     from airgs_codec.trainer.fit.losses import PSNR_DEFINITION
 
@@ -242,7 +242,7 @@ def summary(model: Model) -> dict[str, Any]:
     }
 
 
-def as_words(model: Model, report: Path | None) -> str:
+def as_words(model: ModelFolder, report: Path | None) -> str:
     s, held_out = summary(model), ""
     if s["held_out_psnr"] is not None:
         held_out = f", held-out {s['held_out_psnr']:.2f} (worst {s['held_out_worst']:.2f})"
@@ -270,8 +270,8 @@ def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: b
 
 
 def train_run(
-    run: Run, bar: Bar, *, quiet: bool, work: Work | None = None, page: Callable[[], None] | None = None
-) -> Model:
+    run: TrainingRun, bar: Bar, *, quiet: bool, work: Work | None = None, page: Callable[[], None] | None = None
+) -> ModelFolder:
     """Train, here or by `work`, and say what is done; `page` writes a page of the run so far, now and then."""
     from airgs_codec.trainer.pipeline import train_frames, train_in_jobs
 

@@ -121,7 +121,7 @@ def choose_views(
             found = find_viewpoints(looked, None if world is None else up_of(world))
             trusted, source = found.confident, "found" if found.confident else "orbit"
             region = region_around(found.cameras, middle, margin=settings.margin, source=source)
-            notes = [*of_cameras, *filter(None, (found.story, found.guess)), *notes]
+            notes = [*of_cameras, *filter(None, (found.summary, found.guess)), *notes]
     if not region.background:
         region = with_background(region, sequence.background)
     check_written(region)

@@ -1,4 +1,4 @@
-"""The model folder: all that a training run leaves behind, and all that it needs to go on.
+"""The model folder: the results of a training run, and all that it needs to be resumed.
 
     000000.ply ...    frames, float32 as they were trained
     sequence.json     frame rate and keyframes; transforms.json  cameras at training size
@@ -6,7 +6,7 @@
     networks-T.npz    weights of the MLPs after frame T, the last one, while there are frames to come
     training.json     settings and a record of every finished frame; written last, so that it names only whole frames
 
-A run that was killed goes on behind the last record. All that the next frame depends on is in these files.
+A run that was killed is resumed after the last record. All that the next frame depends on is in these files.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.places.whole import atomic_path, remove_leftovers, to_json, write_json
@@ -35,7 +35,7 @@ from airgs_codec.trainer.settings import BUDGET, TrainSettings
 
 RECORD_NAME = "training.json"
 CAMERAS_NAME = "transforms.json"
-VERSION = 4
+MODEL_VERSION = 4
 
 Span = tuple[int, int]  # frames [start, stop)
 
@@ -54,7 +54,7 @@ class FrameRecord:
     held_out_ssim: float | None  # mean over held-out views
     rejected_psnr: float | None  # dB, training views: of the other fit, where a keyframe was tried too
     seconds: float
-    cleared: int = 0  # that hung in open space and were removed
+    cleared: int = 0  # Gaussians that hung in open space and were removed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,13 +76,17 @@ class Record:
 
     @staticmethod
     def of(scene: MultiviewScene, background: Background, settings: TrainSettings) -> Record:
-        cameras = [f"{c.name} {c.split} {c.width}x{c.height} near {c.near:g}" for c in scene.cameras]
-        first = Path(str(scene.frames[0][0].source)).name
-        same: dict[str, Any] = {"name": scene.path.resolve().name, "first picture": first, "cameras": cameras}
-        origin = None if scene.origin == ZERO else list(scene.origin)
-        more: dict[str, Any] = {"origin": origin, "offsets": dict(scene.offsets), "notes": list(scene.notes)}
-        more["tracked"] = scene.given is not None
-        same |= {"background": list(background)} | {name: value for name, value in more.items() if value}
+        same: dict[str, Any] = {
+            "name": scene.path.resolve().name,
+            "first picture": Path(str(scene.frames[0][0].source)).name,
+            "cameras": [f"{c.name} {c.split} {c.width}x{c.height} near {c.near:g}" for c in scene.cameras],
+            "background": list(background),
+            "origin": None if scene.origin == ZERO else list(scene.origin),
+            "offsets": dict(scene.offsets),
+            "notes": list(scene.notes),
+            "tracked": scene.given is not None,
+        }
+        same = {name: value for name, value in same.items() if value}
         return Record(same, settings.table(), len(scene), str(scene.fps))
 
     @property
@@ -93,65 +97,55 @@ class Record:
         return [f.frame for f in self.frames if f.kind != "frame"]
 
     def spans(self) -> list[Span]:
-        starts = self.keyframes()
-        return list(zip(starts, [*starts[1:], len(self.frames)], strict=True))
+        return list(pairwise([*self.keyframes(), len(self.frames)]))
 
     def quality(self) -> str:
-        """How near the finished frames are to their pictures, in a sentence that packages of them repeat."""
+        """Return how near the finished frames are to their pictures, a sentence that packages of them repeat."""
+        shown, keys = [f.psnr for f in self.frames], len(self.keyframes())
         if self.scene.get("tracked"):
-            shown, keys = [f.psnr for f in self.frames], len(self.keyframes())
             worst, views = int(np.argmin(shown)), len(self.scene["cameras"])
             return (
                 f"tracked: {keys} key{'s' * (keys > 1)} for {len(shown)} frames; against what was given "
                 f"{np.mean(shown):.1f} dB in {views} views, {shown[worst]:.1f} at frame {worst}, the worst"
             )
-        trained = f"{np.mean([f.psnr for f in self.frames]):.1f} dB to the pictures it was trained on"
-        unseen = ""
-        if held_out := [f.held_out_psnr for f in self.frames if f.held_out_psnr is not None]:
-            matched = [f.held_out_matched for f in self.frames if f.held_out_matched is not None]
-            unseen = f" and {np.mean(held_out):.1f} dB to those held out"
-            unseen += f", {np.mean(matched):.1f} with their exposure matched" if self.exposure else ""
-        return f"qualities are those of the coding: the trained model is itself at {trained}{unseen}"
+        unseen = [(f.held_out_psnr, f.held_out_matched) for f in self.frames if f.held_out_psnr is not None]
+        held_out, matched = np.mean(np.array(unseen, np.float64), axis=0) if unseen else (0.0, 0.0)
+        words = f"{np.mean(shown):.1f} dB to the pictures it was trained on"
+        words += f" and {held_out:.1f} dB to those held out" if unseen else ""
+        words += f", {matched:.1f} with their exposure matched" if unseen and self.exposure else ""
+        return f"qualities are those of the coding: the trained model is itself at {words}"
 
     def warnings(self) -> list[str]:
-        low = self.settings["min_psnr_db"]
-        starts = [f for f in self.frames if f.kind != "frame" or f.rejected_psnr is not None]
-        short = [f for f in starts if f.psnr < low]
-        if self.total == 1 or not short:
+        low, within = self.settings["min_psnr_db"], self.settings["densify"] == BUDGET
+        tried = (f for f in self.frames if f.psnr < low and (f.kind != "frame" or f.rejected_psnr is not None))
+        if self.total == 1 or (short := next(tried, None)) is None:
             return []
-        within = self.settings["densify"] == BUDGET
         growth = f"up to {100 * self.settings['max_growth']:g} % of Gaussians" if within else "Gaussians"
         return [
-            f"frame {short[0].frame}: {short[0].psnr:.1f} dB in training views, and no fit reaches the {low:g} dB of "
+            f"frame {short.frame}: {short.psnr:.1f} dB in training views, and no fit reaches the {low:g} dB of "
             f"--min-psnr; a keyframe is tried at every frame like it, which takes long and may add {growth} each time: "
             f"lower --min-psnr or {'raise --budget' if within else 'train for more --iterations'}"
         ]
 
     def group_start(self, frame: int) -> int:
-        """First frame of the group of the frame before `frame`, which is at least 1."""
+        """Return the first frame of the group of the frame before `frame`, which is at least 1."""
         return max(start for start in self.keyframes() if start < frame)
 
 
-class Model:
+class ModelFolder:
     def __init__(self, folder: Path, record: Record) -> None:
         """`record`: as the folder has it; see `open_model` and `read_model`."""
-        self.folder = folder
-        self.record = record
-
-    @property
-    def _origin(self) -> NDArray[np.float64]:
-        return np.array(self.record.scene.get("origin", ZERO), np.float64)
+        self.folder, self.record = folder, record
+        self._origin = np.array(record.scene.get("origin", ZERO), np.float64)
 
     def read(self, frame: int) -> Gaussians:
         return narrowed(read_ply(self._path(frame)), self._origin, self._path(frame))
 
     def commit(self, trained: TrainedFrame) -> FrameRecord:
-        """Write the next frame, from which on the run goes on behind it, and return its record."""
+        """Write the next frame, after which the run can be resumed, and return its record."""
         frame, shown = trained.record, trained.gaussians
-        if self._origin.any():
-            shown = in_world(shown, self._origin)
         with atomic_path(self._path(frame.frame)) as temporary:
-            write_ply(temporary, shown)
+            write_ply(temporary, in_world(shown, self._origin) if self._origin.any() else shown)
         if trained.networks is not None:
             with atomic_path(self._networks(frame.frame)) as temporary, temporary.open("wb") as file:
                 np.savez(file, allow_pickle=False, **trained.networks)
@@ -169,20 +163,20 @@ class Model:
 
     def discard(self) -> None:
         """Remove the folder of a run that has no frame yet, unless something else is in it."""
-        for path in (self.folder / RECORD_NAME, self.folder / CAMERAS_NAME):
-            path.unlink(missing_ok=True)
+        for name in (RECORD_NAME, CAMERAS_NAME):
+            (self.folder / name).unlink(missing_ok=True)
         if not any(self.folder.iterdir()):
             self.folder.rmdir()
 
     def write_record(self) -> None:
-        """Write sequence.json, and last the record; the folder is this run's from then on."""
+        """Write sequence.json, and last the record, by which the folder is this run's."""
         record = self.record
         if record.frames:
             red, green, blue = record.scene.get("background", BLACK)
             notes = (*record.scene.get("notes", ()), record.quality())
-            settings = Settings(Fraction(record.fps), tuple(record.keyframes()), (red, green, blue), notes)
-            write_settings(self.folder, settings)
-        write_json(self.folder / RECORD_NAME, {"version": VERSION, **asdict(record)})
+            keyframes = tuple(record.keyframes())
+            write_settings(self.folder, Settings(Fraction(record.fps), keyframes, (red, green, blue), notes))
+        write_json(self.folder / RECORD_NAME, {"version": MODEL_VERSION, **asdict(record)})
 
     def write_cameras(self, cameras: Sequence[Camera]) -> None:
         """Write the cameras of the run as a nerfstudio transforms.json without pictures."""
@@ -191,13 +185,13 @@ class Model:
             matrix = np.linalg.inv(c.world_to_camera) @ OPENGL_TO_OPENCV
             intrinsics = {"w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy}
             entry = {"camera": c.name, "split": c.split, "file_path": "", **intrinsics}
-            entry |= {"near": c.near} if c.near else {}  # 0: not known
+            entry |= {"near": c.near} if c.near else {}  # 0: unknown
             frames.append({**entry, "transform_matrix": matrix.tolist()})
         fps = float(Fraction(self.record.fps))
         write_json(self.folder / CAMERAS_NAME, {"camera_model": "PINHOLE", "fps": fps, "frames": frames})
 
     def networks(self) -> dict[str, np.ndarray]:
-        """Weights after the last finished frame. Raises SceneError when they are not there."""
+        """Read the weights after the last finished frame. Raises SceneError when they are missing."""
         path = self._networks(self.record.frames[-1].frame)
         with (
             expecting(path, "the networks of an unfinished run"),
@@ -207,7 +201,7 @@ class Model:
             return {name: file[name] for name in file.files}
 
     def finish(self, usage: Mapping[Span, Usage]) -> None:
-        """Write the usage of each group of a complete run, and remove the weights, which nothing needs any more."""
+        """Write the usage of each group of a complete run, and remove the weights."""
         save_usage(self.folder / USAGE_NAME, usage)
         self._networks(self.record.frames[-1].frame).unlink(missing_ok=True)
 
@@ -228,8 +222,8 @@ class Model:
         return self.folder / f"networks-{frame:06d}.npz"
 
 
-def open_model(folder: Path, wanted: Record, resume: bool) -> Model:
-    """The model folder of the `wanted` run, new or resumed. Raises ConfigError for one that holds something else."""
+def open_model(folder: Path, wanted: Record, resume: bool) -> ModelFolder:
+    """Open the model folder of the `wanted` run, new or resumed. Raises ConfigError for one with something else."""
     new = replace(wanted, scene=json.loads(to_json(wanted.scene)), settings=json.loads(to_json(wanted.settings)))
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"{folder}: expected a folder for the model, got a file")
@@ -240,30 +234,28 @@ def open_model(folder: Path, wanted: Record, resume: bool) -> Model:
     elif folder.is_dir() and any(p for p in folder.iterdir() if not p.name.startswith(".")):
         raise ConfigError(f"{folder}: expected a new folder or a training run, got a folder with other files")
     folder.mkdir(parents=True, exist_ok=True)
-    model = Model(folder, new)
+    model = ModelFolder(folder, new)
     model.remove_leftovers()
     model.write_record()
     return model
 
 
-def read_model(folder: Path) -> Model:
-    """The model folder of a run, finished or not. Raises SceneError when it has no record that can be read."""
+def read_model(folder: Path) -> ModelFolder:
+    """Open the model folder of a run, finished or not. Raises SceneError when it has no record that can be read."""
     path = folder / RECORD_NAME
     with expecting(path, "the record of a training run"):
         data = json.loads(path.read_text(encoding="utf-8"))
         version = data.pop("version")
-        if version != VERSION:
-            raise ValueError(f"version {version} instead of {VERSION}")
+        if version != MODEL_VERSION:
+            raise ValueError(f"version {version} instead of {MODEL_VERSION}")
         frame_rate(str(path), exact_number(data["fps"]))
         data["frames"] = tuple(FrameRecord(**frame) for frame in data["frames"])
-        return Model(folder, Record(**data))
+        return ModelFolder(folder, Record(**data))
 
 
 def known_offsets(folder: Path) -> Mapping[str, float] | None:
-    """Frames that the cameras of the run in a folder were late; None where there is no run. Raises SceneError."""
-    if not (folder / RECORD_NAME).is_file():
-        return None
-    return dict(read_model(folder).record.scene.get("offsets", {}))
+    """Return by how many frames cameras of the run in a folder were late; None without a run. Raises SceneError."""
+    return dict(read_model(folder).record.scene.get("offsets", {})) if (folder / RECORD_NAME).is_file() else None
 
 
 def _continued(folder: Path, known: Record, new: Record) -> Record:

@@ -1,6 +1,6 @@
 """The page of a training run: an answer in words, PSNR of every frame, and pictures of the worst and the first one.
 
-PSNR is the mean over views of each view's PSNR in dB, and over frames in what is said of all of them. H x W pixels.
+PSNR is the mean over views of each view's PSNR in dB, and over frames in sentences on all of them. H x W pixels.
 """
 
 from __future__ import annotations
@@ -12,25 +12,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._report import BLUE, ORANGE, RED, Page, Picture, Table, answered
+from airgs_codec._report import BLUE, ORANGE, RED, Page, Picture, answered
 from airgs_codec.media.image import contact_sheet, to_bytes, write_png
 from airgs_codec.media.metrics import psnr
 from airgs_codec.progress import about
 from airgs_codec.render.backend import CPU, Renderer
-from airgs_codec.trainer.data.pictures import Pictures, View
+from airgs_codec.trainer.data.pictures import ScenePictures, View
 from airgs_codec.trainer.fit.losses import PSNR_DEFINITION
 from airgs_codec.trainer.frames import frame_before
-from airgs_codec.trainer.record import FrameRecord, Model, Record
+from airgs_codec.trainer.record import FrameRecord, ModelFolder, Record
 
-RELOADED_S = 15  # seconds until a browser loads the page of a run that goes on again
 ERROR_GAIN = 5  # of the errors that are shown
 FAR_DB = 3.0  # under the mean, or under the training views, from which something is wrong
-MATCHED_DB = 1.0  # by which an exposure that is matched shows more, from which cameras differ
-DRIFT_DB = 1.0  # that the last third of the frames shows less than the first
 
 
-def write_report(model: Model, pictures: Pictures, directory: Path, renderer: Renderer = CPU) -> Path:
-    """Write index.html with the answer, a chart, and pictures of the worst and the first frame; give its path.
+def write_report(model: ModelFolder, pictures: ScenePictures, directory: Path, renderer: Renderer = CPU) -> Path:
+    """Write index.html with the answer, a chart, and pictures of the worst and the first frame; return its path.
 
     Raises ConfigError when they cannot be written, or without matplotlib.
     """
@@ -44,17 +41,15 @@ def write_report(model: Model, pictures: Pictures, directory: Path, renderer: Re
         errors = {name: float(np.mean((rgb - view.target.rgb) ** 2)) for name, (view, rgb) in seen.items()}
         name = max(errors, key=lambda name: errors[name]) if frame == worst else views[0].camera.name
         camera = camera or f"{name} in it with {psnr(errors[name]):.1f}"
-        words = (
-            f"{'The worst' if frame == worst else 'The first'} frame: filmed, trained, {ERROR_GAIN} times the error."
-        )
+        which = "worst" if frame == worst else "first"
+        words = f"The {which} frame: filmed, trained, {ERROR_GAIN} times the error."
         shown.append(Picture(f"frame-{frame:06d}.png", words, save=partial(_save, frame, *seen[name])))
-    settings = Table("Settings", [{"setting": name, "value": value} for name, value in record.settings.items()])
-    sections = answered(training_answer(record, camera), shown, settings)
-    return Page(sections, f"Training of {model.folder.name}", None if record.complete else RELOADED_S).write(directory)
+    sections = answered(training_answer(record, camera), shown)
+    return Page(sections, f"Training of {model.folder.name}", None if record.complete else 15).write(directory)
 
 
-def _rendered(model: Model, frame: int, view: View, renderer: Renderer) -> NDArray[np.float32]:
-    """Return (H, W, 3) of [0, 1], what a view shows of a frame when it was taken."""
+def _rendered(model: ModelFolder, frame: int, view: View, renderer: Renderer) -> NDArray[np.float32]:
+    """Draw (H, W, 3) of [0, 1], what a view shows of a frame when it was taken."""
     g = frame_before(model, frame + 1).at(view.after) if view.after else model.read(frame)
     return np.clip(renderer.render(g, view.camera).rgb, 0, 1)
 
@@ -70,9 +65,9 @@ def _shown_db(r: FrameRecord) -> float:
 
 
 def training_answer(record: Record, camera: str) -> dict[str, str]:
-    """Return what a run comes to in whole sentences; `camera`: which shows least of the worst frame, and its PSNR."""
+    """Return sentences on the result of a run; `camera`: which shows least of the worst frame, and its PSNR."""
     frames, (first, *others) = record.frames, record.frames
-    held_out = [r.held_out_psnr for r in frames if r.held_out_psnr is not None]  # not of frames that they lack
+    held_out = [r.held_out_psnr for r in frames if r.held_out_psnr is not None]  # a camera may have no picture
     shown, third = held_out or [r.psnr for r in frames], len(held_out or frames) // 3
     trained, mean, worst = float(np.mean([r.psnr for r in frames])), float(np.mean(shown)), min(frames, key=_shown_db)
     good = f"The cameras trained on see {trained:.1f} dB; none is held out, so what others see is not known."
@@ -92,9 +87,9 @@ def training_answer(record: Record, camera: str) -> dict[str, str]:
     for holds, words, remedy in (
         (trained - mean > FAR_DB, f"Held-out cameras see {trained - mean:.1f} dB less than those trained on: what no "
          "camera sees is guessed.", "More cameras, or fewer Gaussians (--budget), lessen what is guessed."),
-        (exposure > MATCHED_DB, f"{exposure:.1f} dB of the error are the exposure of cameras alone.",
+        (exposure > 1, f"{exposure:.1f} dB of the error are the exposure of cameras alone.",
          "Try --match-exposure on."),
-        (drift > DRIFT_DB, f"The last third of the frames shows {drift:.1f} dB less than the first.",
+        (drift > 1, f"The last third of the frames shows {drift:.1f} dB less than the first.",
          f"Begin new groups earlier: --max-drop {record.settings['max_drop_db'] / 2:g}."),
         (moved > 0, f"The second frame, which only moves the first, shows {moved:.2f} dB more: that was not fitted to "
          "the end.", "More --iterations pay, or --effort high."),
@@ -109,9 +104,8 @@ def training_answer(record: Record, camera: str) -> dict[str, str]:
 
 def _draw(record: Record, figure: Any) -> None:
     axis, frames = figure.subplots(), [r.frame for r in record.frames]
-    for r in record.frames:
-        if r.kind == "keyframe":
-            axis.axvline(r.frame, color=RED, alpha=0.4, linewidth=1)
+    for frame in record.keyframes()[1:]:
+        axis.axvline(frame, color=RED, alpha=0.4, linewidth=1)
     for name, form, colour, words in (
         ("psnr", "o-", BLUE, "trained on"),
         ("held_out_psnr", "o-", ORANGE, "held out"),

@@ -1,13 +1,14 @@
-"""Everything that decides a training run besides the pictures: the same settings give the same Gaussians."""
+"""Everything that decides a training run except the pictures: the same settings give the same Gaussians."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 from airgs_codec._settings import computed_setting, documented, setting
+from airgs_codec.analysis.rows import AUTO
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.camera import BLACK, Background
 from airgs_codec.scene.gaussians import SH_REST
@@ -15,14 +16,10 @@ from airgs_codec.scene.gaussians import SH_REST
 FIRST, FIRST_A_VIEW = 2500, 60  # iterations of a first frame: the larger of both; 97 photos had not settled at 2500
 LEAST_BUDGET, MOST_BUDGET = 8_000, 64_000  # Gaussians of a first frame, where its pictures decide
 DELTAS = ("direct", "mlp", "mlp+residual")
-PRESETS = ("default", "paper")
-UNITS = ("step", "raw")
-STATIC = ("auto", "off")
-MATCHES = AUTO, ON, OFF = ("auto", "on", "off")
-GIVEN = "given"
-FOREGROUNDS = (OFF, GIVEN)
+TRAIN_PRESETS = ("default", "paper")
+ON, OFF = "on", "off"
+MATCHES = (AUTO, ON, OFF)
 DENSIFY = BUDGET, THRESHOLD = ("budget", "threshold")
-PAPER_CAPACITY = 1_000_000  # where nothing but the inflation loss shall hold Gaussians back
 RANDOM = "random"  # a background: another colour at every step
 BACKGROUNDS: dict[str, Background] = {"black": BLACK, "white": (1.0, 1.0, 1.0)}
 
@@ -31,7 +28,9 @@ BACKGROUNDS: dict[str, Background] = {"black": BLACK, "white": (1.0, 1.0, 1.0)}
 class Temporal:
     weight: float = setting(1e-3, "weight of changes from frame to frame; 0: none")
     unit: str = setting(
-        "step", "mean over Gaussians, in codec steps (step), or the paper's sum, read literally (raw)", choices=UNITS
+        "step",
+        "mean over Gaussians, in codec steps (step), or the paper's sum, read literally (raw)",
+        choices=("step", "raw"),
     )
     until: float = setting(
         0.65,
@@ -40,25 +39,13 @@ class Temporal:
     )
 
 
-Check = Callable[[float], bool]
-RANGES: tuple[tuple[str, Check, str], ...] = (
-    ("weight", lambda v: v >= 0, "a temporal weight of at least 0"),
-    ("until", lambda v: 0 < v <= 1, "a temporal loss until 0 to 1"),
-    ("budget", lambda v: v >= 1, "a budget of at least one Gaussian"),
-    ("sh_degree", lambda v: 0 <= v < len(SH_REST), "an SH degree of 0 to 3"),
-    ("first_iterations", lambda v: v >= 1, "at least one iteration of a first frame"),
-    ("keyframe_iterations", lambda v: v >= 1, "at least one iteration of a keyframe"),
-    ("frame_iterations", lambda v: v >= 1, "at least one iteration of a frame"),
-    ("group_frames", lambda v: v >= 1, "chunks of at least one frame"),
-    ("iteration_views", lambda v: v >= 1, "at least one picture an iteration"),
-    ("coarse", lambda v: 0 <= v <= 1, "a coarse share of 0 to 1"),
-    ("ssim_weight", lambda v: 0 <= v <= 1, "an SSIM weight of 0 to 1"),
-    ("min_psnr_db", lambda v: v >= 0, "a least PSNR of at least 0 dB"),
-    ("max_drop_db", lambda v: v > 0, "a positive drop in dB"),
-    ("max_growth", lambda v: v >= 0, "a growth of at least 0"),
-    ("inflation", lambda v: v >= 0, "an inflation weight of at least 0"),
-    ("max_size", lambda v: v >= 16, "pictures of 16 pixels"),
-    ("seed", lambda v: v >= 0, "a seed of at least 0"),
+BOUNDS: tuple[tuple[float, float, tuple[str, ...]], ...] = (  # least, most, and the settings that have them
+    (0, math.inf, ("weight", "min_psnr_db", "max_growth", "inflation", "seed")),
+    (1, math.inf, ("budget", "first_iterations", "keyframe_iterations", "frame_iterations", "group_frames")),
+    (1, math.inf, ("iteration_views",)),
+    (16, math.inf, ("max_size",)),
+    (0, 1, ("coarse", "ssim_weight")),
+    (0, len(SH_REST) - 1, ("sh_degree",)),
 )
 
 
@@ -69,7 +56,7 @@ class TrainSettings:
 
     budget: int | None = setting(
         None,
-        f"Gaussians of the first frame; None: as many as its pictures can tell, {LEAST_BUDGET} to {MOST_BUDGET}, and "
+        f"Gaussians of the first frame; None: by the size of its pictures, {LEAST_BUDGET} to {MOST_BUDGET}, and "
         f"{LEAST_BUDGET} where few cameras are far apart",
         default="by the size of the pictures",
     )
@@ -99,7 +86,7 @@ class TrainSettings:
     group_frames: int | None = setting(
         None,
         "frames of a chunk; it begins with a keyframe that starts from the first frame of the run, so that chunks "
-        "can be trained apart; None: every frame follows the one before",
+        "can be trained separately; None: every frame follows the one before",
         default="one chunk",
     )
     temporal: Temporal = computed_setting(Temporal, "weight, unit and end of the temporal loss")
@@ -130,8 +117,8 @@ class TrainSettings:
     inflation: float = setting(1e-6, "weight of the summed opacity of what a keyframe adds")
     static: str = setting(
         "auto",
-        "auto: what rests before cameras that stand still stays as it is; off: anything may change at any frame",
-        choices=STATIC,
+        "auto: what is at rest before cameras that stand still stays as it is; off: anything may change at any frame",
+        choices=(AUTO, OFF),
     )
     max_size: int | None = setting(
         None, "longest side of the pictures in pixels; larger ones are shrunk", metavar="PX", default="as they are"
@@ -144,7 +131,7 @@ class TrainSettings:
         default="the scene's own, else black",
     )
     foreground: str = setting(
-        OFF, "train all (off), or only what the masks of the scene show (given)", choices=FOREGROUNDS
+        OFF, "train all (off), or only what the masks of the scene show (given)", choices=(OFF, "given")
     )
     match_exposure: str = setting(
         "auto",
@@ -153,7 +140,7 @@ class TrainSettings:
     )
     reference: str | None = setting(
         None,
-        "camera whose exposure the Gaussians have, where cameras are exposed alike",
+        "camera whose exposure the Gaussians have, where exposures are matched",
         metavar="CAMERA",
         default="the average of all",
     )
@@ -167,23 +154,29 @@ class TrainSettings:
             if known and value not in known:
                 raise ConfigError(f"expected {one.name} {', '.join(known)}, got {value}")
         given = {name: value for name, value in (asdict(self) | asdict(self.temporal)).items() if value is not None}
-        for name, good, words in RANGES:
-            if name in given and not (good(given[name]) and (name == "max_drop_db" or given[name] < math.inf)):
-                raise ConfigError(f"expected {words}, got {given[name]}")
+        for least, most, names in BOUNDS:
+            for name in names:
+                if name in given and not (least <= given[name] <= most and given[name] < math.inf):
+                    bounds = f"at least {least}" if most == math.inf else f"{least} to {most}"
+                    raise ConfigError(f"expected {name} of {bounds}, got {given[name]}")
+        if not (0 < self.temporal.until <= 1 and self.max_drop_db > 0):
+            raise ConfigError(
+                f"expected until of 0 to 1 and max_drop_db above 0, got {self.temporal.until} and {self.max_drop_db}"
+            )
         if self.capacity is not None and self.capacity < (self.budget or 1):
             raise ConfigError(f"expected a capacity of at least the budget, got {self.capacity}")
         if self.match_exposure == ON and self.background == RANDOM:
-            raise ConfigError("expected cameras to be exposed alike or a random background, got both")
+            raise ConfigError("expected exposures to be matched or a random background, got both")
         if self.match_exposure == OFF and self.reference is not None:
-            raise ConfigError(f"expected cameras to be exposed alike where one is the reference, got {self.reference}")
+            raise ConfigError(f"expected exposures to be matched where a camera is the reference, got {self.reference}")
 
     @property
-    def knows_rest(self) -> bool:
-        return self.static == "auto" and self.background != RANDOM
+    def finds_plates(self) -> bool:
+        return self.static == AUTO and self.background != RANDOM
 
     @property
     def looks_for_exposure(self) -> bool:
-        """Whether cameras may turn out to be exposed differently; a random background hides it."""
+        """Return whether exposures may be found to differ; a random background hides it."""
         return self.match_exposure == ON or (self.match_exposure == AUTO and self.background != RANDOM)
 
     def iterations_from_scratch(self, views: int) -> int:
@@ -194,7 +187,7 @@ class TrainSettings:
 
 
 def named_background(text: str | None) -> Background | None:
-    """The colour that a `background` names; None for None and RANDOM, which name none. Raises ConfigError."""
+    """Return the colour that a `background` names; None for None and RANDOM, which name none. Raises ConfigError."""
     if text is None or text == RANDOM:
         return None
     try:
@@ -207,13 +200,13 @@ def named_background(text: str | None) -> Background | None:
 
 
 def settings_from_table(table: Mapping[str, Any]) -> TrainSettings:
-    """The settings of a table from JSON, where infinity is null. Raises ConfigError, TypeError for other names."""
+    """Return the settings of a table from JSON, with null for infinity. Raises ConfigError, TypeError for names."""
     drop = math.inf if table["max_drop_db"] is None else table["max_drop_db"]
     return TrainSettings(**{**table, "temporal": Temporal(**table["temporal"]), "max_drop_db": drop})
 
 
 def preset(name: str, settings: TrainSettings) -> TrainSettings:
-    """The settings with those of a preset.
+    """Return the settings with those of a preset.
 
     `paper` is the paper's method with its constants (AirGS, "Training" 1 to 3), read literally where it gives no unit:
     its temporal loss stops most motion. docs/results/training.md has what differs.
@@ -221,21 +214,8 @@ def preset(name: str, settings: TrainSettings) -> TrainSettings:
     if name != "paper":
         return settings
     return replace(
-        settings,
-        capacity=max(PAPER_CAPACITY, settings.capacity or 0),
-        deltas="mlp",
-        iteration_views=1,
-        coarse=0.0,
-        ssim_weight=0.2,
-        regularised=False,
-        temporal=Temporal(weight=1e-3, unit="raw", until=1.0),
-        velocity=False,
-        min_psnr_db=30.0,
-        max_drop_db=math.inf,
-        keep_better=False,
-        seeds=False,
-        densify=THRESHOLD,
-        inflation=1e-5,
-        static="off",
-        match_exposure=OFF,
-    )
+        settings, deltas="mlp", temporal=Temporal(weight=1e-3, unit="raw", until=1.0),
+        capacity=max(1_000_000, settings.capacity or 0), inflation=1e-5, densify=THRESHOLD, seeds=False,
+        iteration_views=1, coarse=0.0, ssim_weight=0.2, regularised=False, velocity=False,
+        min_psnr_db=30.0, max_drop_db=math.inf, keep_better=False, static=OFF, match_exposure=OFF,
+    )  # fmt: skip

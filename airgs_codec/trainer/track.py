@@ -1,7 +1,7 @@
-"""Tracking: frames that know nothing of each other become Gaussians that move, fitted to pictures drawn of the frames.
+"""Tracking: frames that share no rows become Gaussians that move, fitted to pictures drawn of the frames.
 
-A run of training does it, whose pictures are drawn. Frames are tracked in chunks, which begin with a keyframe and know
-nothing of each other but the first frame.
+It is a training run whose pictures are drawn. Frames are tracked in chunks, which begin with a keyframe and share only
+the first frame.
 """
 
 from __future__ import annotations
@@ -20,12 +20,13 @@ from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.flow import carry
 from airgs_codec.analysis.grouping import count_runs
 from airgs_codec.analysis.region import SEEN, region_around, see, seeing
-from airgs_codec.analysis.rows import AUTO, IN_ORDER, KEEP, compare_order, outlook
+from airgs_codec.analysis.rows import AUTO, IN_ORDER, KEEP, compare_order, first_look
 from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.jobs.work import Work
 from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.package.region import DECIDING, draw_views, with_background
+from airgs_codec.places.results import digest
 from airgs_codec.progress import about
 from airgs_codec.render.backend import Renderer
 from airgs_codec.render.compare import compare, draw_still
@@ -34,63 +35,49 @@ from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from airgs_codec.trainer.data.multiview import MultiviewScene, drawn_scene
 from airgs_codec.trainer.settings import TrainSettings
 
-VIEWS = 32
-PIXELS = 65_536  # of a picture
-MANY = 1 << 30  # Gaussians: what is given has as many as it has
-LOOKED_AT = 5  # frames that viewpoints are found in
-TRIED = 5  # pairs of neighbours that tell whether a scene can be tracked
-FOLLOWED_DB = 20.0  # that half of them show, at least
-CHUNK = 30  # frames
+DRAWN_VIEWS = 32
+CHUNK_FRAMES = 30
 ROW_S = (2e-4, 1e-3)  # seconds that a Gaussian of a frame takes on two cores: one that is followed, one that is fitted
-ALONE_BYTES = (1.6, 0.4)  # about, of a Gaussian of a frame that is coded alone, and of each SH coefficient above band 0
-TRACKED_SHARES = (7, 2)  # one byte in so many is left, from a head with noise to a fox whose frames were trained apart
+INTRA_BYTES = (1.6, 0.4)  # about, of a Gaussian of an intra-coded frame, and of each SH coefficient above band 0
+TRACKED_SHARES = (7, 2)  # tracking divides bytes by these: a head with noise, a fox whose frames were trained singly
 
 
 def decide(sequence: GaussianSequence, wanted: bool | None = None, rows: str = AUTO) -> tuple[bool, str]:
-    """Whether a sequence is tracked; and what its rows are, what that costs and what would change it.
+    """Return whether a sequence is tracked, and a sentence on its rows, the cost and the alternative.
 
-    `wanted`: None to look at the first frames. `rows`: as in `analysis.rows`. The line is empty where rows are in
+    `wanted`: None to look at the first frames. `rows`: as in `analysis.rows`. The sentence is empty where rows are in
     order. Raises SceneError for a broken frame.
     """
     if len(sequence) == 1 or rows == KEEP:
         return False, ""
-    found = outlook(sequence, rows)
-    if found.shared:
-        return bool(wanted), found.words
+    shared, words = first_look(sequence, rows)
+    if shared:
+        return bool(wanted), words
     count = sum(header.count for header in sequence.headers)
     further = 3 * ((sequence.sh_degree + 1) ** 2 - 1)
-    alone = count / len(sequence) * (ALONE_BYTES[0] + ALONE_BYTES[1] * further) / 1e3
-    each, time = f"about {_rough(alone)} kB a frame", about(*(count * row_s for row_s in ROW_S))
-    less = "about " + " to ".join(_rough(alone / share) for share in TRACKED_SHARES) + " kB a frame"
+    intra = count / len(sequence) * (INTRA_BYTES[0] + INTRA_BYTES[1] * further) / 1e3
+    sizes = (f"{kb:.0f}" if kb >= 10 else f"{kb:.1f}" for kb in (intra, *(intra / share for share in TRACKED_SHARES)))
+    each, less = (f"about {size} kB a frame" for size in (next(sizes), " to ".join(sizes)))
+    time = about(*(count * row_s for row_s in ROW_S))
     if wanted is False or rows != AUTO:
         offer = f"--track makes one set of moving Gaussians of them first: {time}, then {less}"
-        return False, f"{found.words}; coded one by one, {each}; {offer}"
+        return False, f"{words}; coded one by one, {each}; {offer}"
     if wanted is None and find_spec("torch") is None:
         install = "tracking takes a half to a seventh of that and needs torch: pip install 'airgs-codec[train]'"
-        return False, f"{found.words}; coded one by one, {each}; {install}"
+        return False, f"{words}; coded one by one, {each}; {install}"
     leave = "" if wanted else "; --no-track leaves them as they are"
-    return True, f"{found.words}; tracked first: {time}, then {less} in place of {each}{leave}"
-
-
-def _rough(kilobytes: float) -> str:
-    return f"{kilobytes:.0f}" if kilobytes >= 10 else f"{kilobytes:.1f}"
+    return True, f"{words}; tracked first: {time}, then {less} in place of {each}{leave}"
 
 
 def track_settings(sequence: GaussianSequence) -> TrainSettings:
     return TrainSettings(
-        budget=MANY,
-        capacity=MANY,
-        sh_degree=sequence.sh_degree,
-        keyframe_iterations=300,
-        frame_iterations=250,
-        group_frames=CHUNK,
-        min_psnr_db=28.0,
-        max_drop_db=10.0,
-    )
+        budget=1 << 30, capacity=1 << 30, sh_degree=sequence.sh_degree, keyframe_iterations=300, frame_iterations=250,
+        group_frames=CHUNK_FRAMES, min_psnr_db=28.0, max_drop_db=10.0,
+    )  # fmt: skip
 
 
 def pictured(sequence: GaussianSequence, renderer: Renderer) -> MultiviewScene:
-    """The scene that views about its cameras show of a sequence; a run fits it to Gaussians that move.
+    """Return the scene that views about its cameras show of a sequence, for a run that fits Gaussians that move.
 
     Raises SceneError for a broken frame and where nothing can be tracked, ConfigError where no view shows anything.
     """
@@ -101,47 +88,42 @@ def pictured(sequence: GaussianSequence, renderer: Renderer) -> MultiviewScene:
 
 
 def why_not(sequence: GaussianSequence, cameras: Sequence[Camera], renderer: Renderer) -> str:
-    """Why a sequence cannot be tracked, empty where it can. Raises SceneError for a broken frame."""
+    """Return why a sequence cannot be tracked, empty where it can. Raises SceneError for a broken frame.
+
+    It cannot where the rows of half of five pairs of frames, moved, show less than 20 dB of the next frame.
+    """
     starts = {start for start, _ in count_runs(sequence)}
     frames = pairwise(sequence.read(number) for number in range(len(sequence)))
     if len({header.count for header in sequence.headers}) == 1 and all(
         number in starts or compare_order(a, b)[0] == IN_ORDER for number, (a, b) in enumerate(frames, 1)
     ):
         return "its rows are in order already"
-    tried = evenly_spaced(len(sequence) - 1, TRIED)
+    tried = evenly_spaced(len(sequence) - 1, 5)
     shown = float(np.median([_followed(sequence, number, cameras[::4], renderer) for number in tried]))
-    if shown < FOLLOWED_DB:
+    if shown < 20:
         return f"{shown:.1f} dB is all that a frame shows of the next one; each is coded by itself"
     return ""
 
 
 def _views_of(sequence: GaussianSequence, renderer: Renderer) -> list[Camera]:
-    """Views about the cameras of a sequence, or about places that were found where none sees it."""
     middle = sequence.load([len(sequence) // 2]).frames[0]
     sight = see(sequence.cameras, middle, renderer)
     if sight.cameras and sight.share >= SEEN:
         cameras = training_views(sight.cameras)
     else:
-        cameras = find_viewpoints([sequence.read(i) for i in evenly_spaced(len(sequence), LOOKED_AT)]).cameras
+        cameras = find_viewpoints([sequence.read(i) for i in evenly_spaced(len(sequence), 5)]).cameras
     region = with_background(region_around(cameras, middle), sequence.background)
-    found = seeing(draw_views(region, VIEWS, DECIDING), middle, renderer)
+    found = seeing(draw_views(region, DRAWN_VIEWS, DECIDING), middle, renderer)
     if not found:
-        raise ConfigError(f"{sequence.folder}: expected views that show the middle frame, got {VIEWS} of nothing")
-    return _small(found)
-
-
-def _small(cameras: Sequence[Camera]) -> list[Camera]:
-    resizing = [(PIXELS / (camera.width * camera.height)) ** 0.5 for camera in cameras[:VIEWS]]
-    return [
-        replace(resized(camera, share), name=f"view{number:02d}", split="train")
-        for number, (camera, share) in enumerate(zip(cameras, resizing, strict=False))
-    ]
+        raise ConfigError(f"{sequence.folder}: expected views that show the middle frame, got {DRAWN_VIEWS} of nothing")
+    small = (resized(camera, (65_536 / (camera.width * camera.height)) ** 0.5) for camera in found)
+    return [replace(camera, name=f"view{number:02d}", split="train") for number, camera in enumerate(small)]
 
 
 def _followed(sequence: GaussianSequence, number: int, cameras: Sequence[Camera], renderer: Renderer) -> float:
     a, b = (sequence.load([n]).frames[0] for n in (number, number + 1))
-    there, shown = (draw_still(g, renderer) for g in (b, carry(a, b)))
-    errors = compare(there, shown, [(number, camera) for camera in cameras], Picture.mse)
+    given, moved = (draw_still(g, renderer) for g in (b, carry(a, b)))
+    errors = compare(given, moved, [(number, camera) for camera in cameras], Picture.mse)
     return psnr(float(np.mean(list(errors))))
 
 
@@ -149,13 +131,13 @@ def _followed(sequence: GaussianSequence, number: int, cameras: Sequence[Camera]
 def tracked(
     sequence: GaussianSequence, renderer: Renderer, work: Work, folder: Path | None = None
 ) -> Iterator[GaussianSequence]:
-    """Track a sequence; gives it as it is then, with a note on what came of it, until the block ends.
+    """Track a sequence, and return it with a note on the result until the block ends, as it was if that is impossible.
 
-    The model stays in `folder`, by default a temporary one. The sequence is as it was where nothing can be tracked.
-    Raises SceneError for a broken frame, ConfigError where a device is missing, TrainingError where a loss is not
-    finite.
+    The model stays in `folder`, by default a temporary one. Raises SceneError for a broken frame, ConfigError where a
+    device is missing, TrainingError where a loss is not finite.
     """
-    from airgs_codec.trainer.pipeline import name_of, open_run, train_with  # torch is loaded where something is tracked
+    # torch is loaded only where something is tracked
+    from airgs_codec.trainer.pipeline import content_of, open_run, read_contents, train_frames, train_in_jobs
 
     cameras = _views_of(sequence, renderer)
     if reason := why_not(sequence, cameras, renderer):
@@ -163,9 +145,10 @@ def tracked(
         return
     scene = drawn_scene(sequence, cameras, renderer)
     with tempfile.TemporaryDirectory(prefix="airgs-track-") as temporary:
-        model = (folder or Path(temporary)) / f"tracked-{name_of(scene, work)[:16]}"
+        name = digest(content_of(scene, read_contents(scene)))
+        model = (folder or Path(temporary)) / f"tracked-{name[:16]}"
         run = open_run(scene, model, track_settings(sequence), resume=True, device=renderer.device)
-        for frame in train_with(run, work):
+        for frame in train_in_jobs(run, work) if work.elsewhere else train_frames(run, work.progress):
             work.progress("tracking", frame.frame + 1, len(sequence))
         found = open_sequence(model, fps=sequence.fps).at_origin(sequence.origin)
         given = replace(found, cameras=sequence.cameras, cameras_path=sequence.cameras_path, alone=True)

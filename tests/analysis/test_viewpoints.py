@@ -71,7 +71,7 @@ def directions_of(found):
 
 def test_an_object_is_seen_from_all_around_and_neither_from_straight_above_nor_from_below():
     found = find_viewpoints([ball()], UP)
-    assert found.confident and "-30° to 60° above the horizon" in found.story
+    assert found.confident and "-30° to 60° above the horizon" in found.summary
     sides = -directions_of(found)
     low, high = np.sin(np.radians([-30, 60]))
     assert low <= sides[:, 1].min() < 0 and 0.5 < sides[:, 1].max() <= high
@@ -83,7 +83,7 @@ def test_an_object_is_seen_from_all_around_and_neither_from_straight_above_nor_f
 @pytest.mark.parametrize("up", [1, -1])
 def test_an_object_on_a_floor_is_seen_from_above_it(up):
     found = find_viewpoints([joined(ball(), floor(-0.55 * up))])
-    assert found.confident and "over its floor" in found.story
+    assert found.confident and "over its floor" in found.summary
     assert found.guess == f"up is guessed to be (0, {up}, 0); --up says otherwise"
     assert (places_of(found)[:, 1] * up > -0.55).all()
     assert all(camera.world_to_camera[1, 1] * up <= 0 for camera in found.cameras), "up is up in the pictures"
@@ -94,7 +94,7 @@ def test_an_object_stands_as_it_is_told(up, above):
     """What lies across is no floor: it is seen from below, too."""
     found = find_viewpoints([joined(ball(), floor(-0.55))], np.array(up, float))
     assert not found.guess and all(camera.world_to_camera[1] @ [*up, 0] <= 1e-9 for camera in found.cameras)
-    assert (places_of(found)[:, 1] > (-0.7 if above else -0.55)).all() == above == ("over its floor" in found.story)
+    assert (places_of(found)[:, 1] > (-0.7 if above else -0.55)).all() == above == ("over its floor" in found.summary)
 
 
 def test_the_fox_is_seen_as_it_was_trained_and_a_place_from_where_it_was_filmed():
@@ -110,12 +110,12 @@ def test_the_fox_is_seen_as_it_was_trained_and_a_place_from_where_it_was_filmed(
 
 def test_where_nothing_is_clear_it_says_so_and_an_object_in_a_haze_is_not_taken_for_a_place():
     found, again = (find_viewpoints([needles(800)]) for _ in range(2))
-    assert not found.confident and "unclear" in found.story
+    assert not found.confident and "unclear" in found.summary
     np.testing.assert_array_equal(places_of(again), places_of(found))
     haze = needles(100, 0.6)
     thin = replace(haze, means=(0.7 * haze.means).astype(np.float32), opacity_logits=np.full(100, -2, np.float32))
     found = find_viewpoints([joined(ball(), thin)])
-    assert not found.confident and "haze" in found.story and found.cameras[0].name == "front"
+    assert not found.confident and "haze" in found.summary and found.cameras[0].name == "front"
 
 
 def test_broken_rows_huge_numbers_and_scenes_that_cannot_be_seen_have_views():

@@ -112,8 +112,8 @@ MISTAKES = {  # words that follow those of the command, and what is said of them
     "serve": {"scene": "expected"},
     "train BLOBS -o m": {
         "--frames 3:9": "frames inside 0:5", "--frames x": "expected A:B", "--hold-out cam99": "no camera cam99",
-        "--iterations 5": "expected FIRST,KEY,FRAME", "--budget 0": "budget of at least one",
-        "--near -1": "expected a positive distance", "--fps 0": "expected 0 < fps", "--max-size 3": "16 pixels",
+        "--iterations 5": "expected FIRST,KEY,FRAME", "--budget 0": "budget of at least 1",
+        "--near -1": "expected a positive distance", "--fps 0": "expected 0 < fps", "--max-size 3": "at least 16",
         "--sync nowhere.json": "nowhere.json", "--foreground given": "expected a mask",
         "--foreground all": "off, given",
         "--seed 1 --seed 2": "airgs-train: argument --seed: expected one value, got another one: '2'\n",

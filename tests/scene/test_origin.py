@@ -10,7 +10,7 @@ from airgs_codec.inspect.compare import compare
 from airgs_codec.scene.camera import cameras_from
 from airgs_codec.scene.formats.table import read
 from airgs_codec.scene.frames import in_world
-from airgs_codec.trainer.record import Model, TrainedFrame
+from airgs_codec.trainer.record import ModelFolder, TrainedFrame
 from tests import faces
 from tests.faces import GaussianSequence, SceneError, open_sequence, repair, write_ply
 from tests.support.camera_files import write_colmap_text, write_nerfstudio
@@ -143,7 +143,7 @@ def test_trainers_begin_there_and_files_are_in_the_world(tmp_path, write):
     if far.points:
         assert far.points.positions.dtype == np.float32
         np.testing.assert_allclose(far.points.positions + away, cloud.means, atol=1e-6)
-    model = Model(tmp_path, faces.Record.of(far, (0, 0, 0), faces.TrainSettings()))
+    model = ModelFolder(tmp_path, faces.Record.of(far, (0, 0, 0), faces.TrainSettings()))
     model.write_cameras(far.cameras)
     model.commit(TrainedFrame(cloud, faces.FrameRecord(0, "first", 50, 0, 30.0, None, None, None, None, 1.0)))
     np.testing.assert_allclose(model.read(0).means, cloud.means, atol=1e-7)

@@ -21,7 +21,7 @@ LAMBDA, LAMBDA_T, LAMBDA_INF = 0.2, 1e-3, 1e-5
 @pytest.fixture
 def seen(monkeypatch):
     seen = SimpleNamespace(gaussians=[], cameras=[], losses=[], shrinks=[])
-    draw, add, step = optimise.render_views, optimise.Losses.add, optimise.Adam.step
+    draw, add, step = optimise.render_views, optimise.LossCheck.add, optimise.Adam.step
 
     def look(p, cameras, *rest):
         seen.gaussians.append({name: value.detach().clone() for name, value in p.items()})
@@ -37,7 +37,7 @@ def seen(monkeypatch):
         step(self, shrink)
 
     monkeypatch.setattr(optimise, "render_views", look)
-    monkeypatch.setattr(optimise.Losses, "add", note)
+    monkeypatch.setattr(optimise.LossCheck, "add", note)
     monkeypatch.setattr(optimise.Adam, "step", move)
     return seen
 
@@ -118,7 +118,7 @@ def test_what_the_preset_sets():
     s = preset("paper", TrainSettings(seed=4, max_size=96))
     assert (s.deltas, s.temporal, s.min_psnr_db) == ("mlp", faces.Temporal(LAMBDA_T, "raw", 1.0), 30.0)
     assert (s.inflation, s.ssim_weight, s.max_drop_db) == (LAMBDA_INF, LAMBDA, float("inf"))
-    assert not any((s.regularised, s.velocity, s.keep_better, s.seeds, s.looks_for_exposure, s.knows_rest, s.coarse))
+    assert not any((s.regularised, s.velocity, s.keep_better, s.seeds, s.looks_for_exposure, s.finds_plates, s.coarse))
     assert (s.densify, s.iteration_views, s.seed, s.max_size) == ("threshold", 1, 4, 96)
     assert preset("default", s) is s
     assert s.capacity >= 1_000_000  # only the inflation loss holds Gaussians back

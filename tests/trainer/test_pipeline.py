@@ -228,7 +228,7 @@ def test_a_cluster_that_trains_on_gpus_is_asked_for_them(blobs, tmp_path, capsys
     ("--jobs 2",                        "--jobs: expected --group-frames"),
     ("--work somewhere",                "--work: expected --group-frames"),
     ("--executor dask",                 "--executor: expected --group-frames"),
-    ("--group-frames 0",                "chunks of at least one frame"),
+    ("--group-frames 0",                "expected group_frames of at least 1"),
     ("--group-frames 2 --executor ray", "expected dask or dask:ADDRESS"),
 ])  # fmt: skip
 def test_options_that_cannot_work_are_one_line_and_exit_2(blobs, tmp_path, capsys, words, message):

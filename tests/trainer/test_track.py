@@ -117,7 +117,7 @@ def test_chunks_are_tracked_alike_whoever_does_them_and_two_frames_as_well(tmp_p
     frames = apart([turned(still, 0.02 * t) for t in range(3)])
     cameras = faces.orbit_views(frames[0], count=4, size=64)
     few, two = (GaussianSequence.from_arrays(frames[:count], cameras=cameras) for count in (3, 2))
-    monkeypatch.setattr(track, "CHUNK", 2)
+    monkeypatch.setattr(track, "CHUNK_FRAMES", 2)
     quick = replace(track.track_settings(few), first_iterations=40, keyframe_iterations=30, frame_iterations=20)
     monkeypatch.setattr(track, "track_settings", lambda sequence: quick)
     encode_tracked(few, tmp_path / "alone.airgs")

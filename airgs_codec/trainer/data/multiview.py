@@ -1,4 +1,4 @@
-"""A multi-view video: which camera saw which picture at each frame. Pictures are named here and read by `pictures`.
+"""A multi-view video: which camera saw which picture at each frame. Its pictures are read by `pictures`.
 
 P points. Cameras are `scene.camera.Camera`: OpenCV convention, x right, y down, z forward, pixel centres at +0.5;
 lengths are in the units of the scene.
@@ -27,7 +27,7 @@ from airgs_codec.scene.sequence import GaussianSequence
 if TYPE_CHECKING:
     from airgs_codec.render.backend import Loaded, Renderer
 
-HELD_OUT_SHARE = 8  # one camera in so many is held out where a scene names none
+HELD_OUT_SHARE = 8  # one camera in this number is held out where a scene names none
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,17 +54,17 @@ class Source:
 
 @cache
 def open_video(path: Path) -> VideoReader:
-    """The decoder of a video, one for each: frames are asked for in order. Raises SceneError."""
+    """Return the one decoder of a video. Raises SceneError."""
     return VideoReader(path)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
     camera: Camera  # of the undistorted picture at full size
-    source: Source | Drawn
+    source: Source | DrawnSource
     lens: Lens | None = None  # None: the picture is that of a pinhole camera already
     mask: Path | None = None  # picture that is not 0 where the foreground is
-    after: float = 0.0  # frames that it was taken after the time of its frame, -0.5 to 0.5
+    after: float = 0.0  # frames that it was taken after the time of its frame, less than 1
 
     @property
     def size(self) -> tuple[int, int]:
@@ -86,8 +86,8 @@ class MultiviewScene:
     background: Background = BLACK  # what its pictures show behind the scene
     given: GaussianSequence | None = None  # what its pictures are drawn from, where they are (`drawn_scene`)
     offsets: Mapping[str, float] = field(default_factory=dict)  # frames that cameras were late, of `sync.in_step`
-    notes: tuple[str, ...] = ()  # what was changed or guessed when it was opened, in whole lines
-    origin: Origin = ZERO  # in the world, that cameras and points are from
+    notes: tuple[str, ...] = ()  # what was changed or guessed when it was opened, in sentences
+    origin: Origin = ZERO  # in the world, of the coordinates of cameras and points
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -97,7 +97,7 @@ class MultiviewScene:
         return [shot.camera for shot in self.frames[0]]
 
     def place(self, frame: int, camera: int) -> int | None:
-        """Where a camera, counted as those of frame 0, is among the shots of a frame; None: it has no picture there."""
+        """Return where a camera, counted as in frame 0, is among the shots of a frame; None: it has no picture."""
         name = self.frames[0][camera].camera.name
         return next((i for i, shot in enumerate(self.frames[frame]) if shot.camera.name == name), None)
 
@@ -110,20 +110,15 @@ def in_frames(posed: Sequence[Posed], shot: Callable[[Posed], Shot]) -> tuple[tu
 
 
 def frames_of(scene: MultiviewScene, span: tuple[int, int | None]) -> tuple[int, int]:
-    """The frames [A, B) of a scene; None: its end. Raises SceneError where it does not have them."""
+    """Return the frames [A, B) of a scene; None: its end. Raises SceneError where it does not have them."""
     start, stop = span[0], len(scene) if span[1] is None else span[1]
     if not 0 <= start < stop <= len(scene):
         raise SceneError(f"{scene.path}: expected frames inside 0:{len(scene)}, got {start}:{stop}")
     return start, stop
 
 
-def seen_until(scene: MultiviewScene, stop: int) -> int:
-    """Where the frames end whose pictures show those before `stop`: one further where cameras are early."""
-    return min(len(scene), stop + any(shot.after < 0 for shot in scene.frames[0]))
-
-
 def from_own_origin(scene: MultiviewScene) -> MultiviewScene:
-    """The scene from an origin at which float32 is fine enough (MOVED), with near planes by what its cameras see."""
+    """Move a scene to an origin at which float32 is fine enough (MOVED), with near planes by what its cameras see."""
     places = scene.points.positions if scene.points else np.stack([camera.position for camera in scene.cameras])
     origin = rounded_middle(places)
     cameras = cameras_from(origin, scene.cameras)
@@ -137,16 +132,15 @@ def from_own_origin(scene: MultiviewScene) -> MultiviewScene:
 
 
 def with_near(scene: MultiviewScene, near: float) -> MultiviewScene:
-    """The scene whose cameras draw no Gaussian nearer than `near` world units."""
+    """Return the scene whose cameras draw no Gaussian nearer than `near` world units."""
     return _with_cameras(scene, lambda camera: replace(camera, near=near))
 
 
 def with_held_out(scene: MultiviewScene, names: Sequence[str] | None) -> MultiviewScene:
-    """The scene with the cameras `names` held out for testing.
+    """Return the scene with the cameras `names` held out for testing.
 
-    None stands for the cameras that the scene marks itself, or for one in HELD_OUT_SHARE where it marks none.
-
-    Raises SceneError for a name that no camera has, or when no camera is left to train on.
+    None: the cameras that the scene marks itself, or one in HELD_OUT_SHARE where it marks none. Raises SceneError for a
+    name that no camera has, or when no camera remains to train on.
     """
     known = [camera.name for camera in scene.cameras]
     if names is None:
@@ -168,7 +162,7 @@ def _with_cameras(scene: MultiviewScene, change: Callable[[Camera], Camera]) -> 
 
 
 def with_frames(scene: MultiviewScene, frames: Iterable[int]) -> MultiviewScene:
-    """The scene without the pictures of all other frames, which have their numbers still."""
+    """Return the scene without the pictures of all other frames, which retain their numbers."""
     wanted = set(frames)
     return replace(scene, frames=tuple(s if i in wanted else () for i, s in enumerate(scene.frames)))
 
@@ -178,7 +172,7 @@ def without_masks(scene: MultiviewScene) -> MultiviewScene:
 
 
 class Drawing:
-    """What draws the frames of a sequence; the last one stays loaded for its further views. It can be pickled."""
+    """Draws the frames of a sequence; the last one stays loaded for its further views. It can be pickled."""
 
     def __init__(self, sequence: GaussianSequence, renderer: Renderer) -> None:
         self.sequence, self.renderer = sequence, renderer
@@ -194,18 +188,17 @@ class Drawing:
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class DrawnSource:
     frame: int
     camera: Camera
     drawing: Drawing
     path: None = None  # it is in no file
 
     def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """Read the picture, (H, W, 3) RGB or (H, W, 4) with alpha, of a `size` (width, height). Raises SceneError."""
         return self.drawing.draw(self.frame, self.camera)
 
     def check(self, size: tuple[int, int]) -> None:
-        """Nothing: there is one, of the size of its camera."""
+        """Accept any: the picture has the size of its camera."""
 
     def __str__(self) -> str:
         return f"{self.drawing.sequence.paths[self.frame]} frame {self.frame}"
@@ -214,7 +207,7 @@ class Drawn:
 def drawn_scene(sequence: GaussianSequence, cameras: Sequence[Camera], renderer: Renderer) -> MultiviewScene:
     drawing = Drawing(sequence, renderer)
     frames = tuple(
-        tuple(Shot(camera, Drawn(frame, camera, drawing)) for camera in cameras) for frame in range(len(sequence))
+        tuple(Shot(camera, DrawnSource(frame, camera, drawing)) for camera in cameras) for frame in range(len(sequence))
     )
     background, origin = sequence.background, sequence.origin
     return MultiviewScene(sequence.folder, sequence.fps, frames, None, background, sequence, origin=origin)

@@ -1,17 +1,11 @@
 """Opening a multi-view scene: a reader for each format, and the table of them. T frames.
 
-nerfstudio's transforms.json has an entry for each picture, or for each camera where entries name videos.
-
-CMU Panoptic, as Dynamic 3D Gaussians has it, is train_meta.json, pictures in ims/, masks in seg/ that are not 0 where
-something moves, and points of the first frame in init_pt_cld.npz.
-
-A COLMAP reconstruction is sparse/ and videos/CAM.mp4, images/CAM/* or one picture each; its points are in points3D.bin
-or points3D.txt. Scenes of HiFi4G and DualGS are image_white_undistortion/FRAME/CAM.png and a reconstruction in
-colmap/sparse/0, in the folder of the frames as it is downloaded or moved beside it; its images are named as the
-pictures of a frame are. Frames are numbered folders, from any number on. The background is white.
-
-A poses_bounds.npy has a row for each camera's video, in the order of their names. N3DV's videos are cam00.mp4 to
-cam20.mp4 with gaps where a camera was not in time; cam00 is the one it holds out.
+nerfstudio's transforms.json has an entry for each picture, or for each camera where entries name videos. CMU Panoptic,
+as Dynamic 3D Gaussians has it, has masks in seg/ that are not 0 where something moves. COLMAP's sparse/ comes with
+videos/CAM.mp4, images/CAM/* or one picture each. Scenes of HiFi4G and DualGS are image_white_undistortion/FRAME/CAM.png
+before white and a reconstruction in colmap/sparse/0, in the folder of the frames as it is downloaded or next to it; its
+images are named as the pictures of a frame are. A poses_bounds.npy has a row for each camera's video, in the order of
+their names; of N3DV's, cam00 is held out.
 """
 
 from __future__ import annotations
@@ -28,7 +22,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.media.image import is_turned
 from airgs_codec.places.place import is_address
 from airgs_codec.scene.beside import DEFAULT_FPS, exact_number, frame_rate
-from airgs_codec.scene.camera import Camera, with_pixels
+from airgs_codec.scene.camera import with_pixels
 from airgs_codec.scene.cameras import colmap, forms
 from airgs_codec.scene.cameras.forms import Posed, as_path
 from airgs_codec.scene.files import Cursor, expecting, read_object
@@ -50,20 +44,15 @@ POINT_FILES = (
     "init_pt_cld.npz",
 )  # fmt: skip
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
-SAME_RATE = 1.001  # ratio of frame rates that cameras of one rig measure a little differently
-SHOWN = 4  # names in a line
-HELD_OUT = "cam00"  # of N3DV
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
-
 
 Film = tuple[Shot, Path]  # a camera that stands still, and what it filmed: a video, or a folder of pictures by name
 
 
 def read_transforms(folder: Path) -> MultiviewScene:
-    """The scene of a transforms.json. Frames are the distinct `time_index`, or the distinct `time` without it.
+    """Read the scene of a transforms.json. Frames are the distinct `time_index`, or the distinct `time` without it.
 
     Without either, as `ns-process-data` writes it, all pictures are of one frame. `ply_file_path` names its points.
-
     Raises SceneError.
     """
     path = folder / forms.TRANSFORMS
@@ -86,8 +75,8 @@ def _named_points(folder: Path, name: object) -> Points | None:
 
 def _picture_shot(folder: Path, posed: Posed) -> Shot:
     picture = folder / posed.picture
-    source = Source(picture if picture.suffix else picture.with_suffix(".png"))
-    return Shot(posed.camera, source, posed.lens, folder / posed.mask if posed.mask else None)
+    mask = folder / posed.mask if posed.mask else None
+    return _shot(posed, picture if picture.suffix else picture.with_suffix(".png"), posed.camera.name, mask)
 
 
 def read_panoptic(folder: Path) -> MultiviewScene:
@@ -103,11 +92,11 @@ def _frame_rate(path: Path) -> Fraction:
 
 def _masked_shot(folder: Path, posed: Posed) -> Shot:
     mask = folder / "seg" / Path(posed.picture).with_suffix(".png")
-    return Shot(posed.camera, Source(folder / "ims" / posed.picture), None, mask if mask.is_file() else None)
+    return _shot(posed, folder / "ims" / posed.picture, posed.camera.name, mask if mask.is_file() else None)
 
 
 def scene_from_films(folder: Path, films: Sequence[Film]) -> MultiviewScene:
-    """The scene of cameras that filmed videos, or folders of pictures. Raises SceneError where they do not fit."""
+    """Return the scene of cameras that filmed videos, or folders of pictures. Raises SceneError for a mismatch."""
     if not any(path.is_dir() for _, path in films):
         return _joined_by_time(folder, films)
     sources = [[Source(path) for path in find_files(place, PICTURE_SUFFIXES)] for _, place in films]
@@ -122,13 +111,13 @@ def scene_from_films(folder: Path, films: Sequence[Film]) -> MultiviewScene:
 
 
 def _joined_by_time(folder: Path, films: Sequence[Film]) -> MultiviewScene:
-    """The scene of videos while all cameras have pictures; where one dropped a frame it has no shot."""
+    """Return the scene of videos while all cameras have pictures; where one dropped a frame it has no shot."""
     for shot, path in films:
         open_video(path).check(shot.size)
     clocks = [open_video(path).clock for _, path in films]
     rates = sorted({clock.fps for clock in clocks if clock.fps})
-    apart = [max(c.pictures) * (c.fps / rates[0] - 1) for c in clocks if c.fps and c.fps > SAME_RATE * rates[0]]
-    if apart and max(apart) > 0.5:  # frames, at the end
+    drifts = [max(c.pictures) * (c.fps / rates[0] - 1) for c in clocks if c.fps and c.fps > 1.001 * rates[0]]
+    if max(drifts, default=0) > 0.5:  # frames, at the end
         listed = ", ".join(f"{float(rate):g}" for rate in rates)
         raise SceneError(f"{folder}: expected videos of one frame rate, got {listed}")
     fps = frame_rate(str(folder), rates[0]) if rates else DEFAULT_FPS
@@ -144,13 +133,13 @@ def _joined_by_time(folder: Path, films: Sequence[Film]) -> MultiviewScene:
         tuple(replace(s, source=Source(path, of[m])) for (s, path), of in zip(films, shown, strict=True) if m in of)
         for m in moments
     )
-    told: dict[str, list[str]] = {}
+    cameras: dict[str, list[str]] = {}
     for (shot, _), clock, at, of in zip(films, clocks, late, shown, strict=True):
         dropped = sum(moment not in of for moment in moments)
         counts = {f"begins {float(at / fps):.3g} s late": at, f"{dropped} of {len(moments)} frames dropped": dropped}
         for remark in (*clock.remarks, *(words for words, count in counts.items() if count)):
-            told.setdefault(remark, []).append(shot.camera.name)
-    words = [f"{remark}: {shortened(names)}" for remark, names in told.items()]
+            cameras.setdefault(remark, []).append(shot.camera.name)
+    words = [f"{remark}: {shortened(names)}" for remark, names in cameras.items()]
     if cut := max(every) + 1 - len(moments):
         words.append(f"left out are {cut} of {max(every) + 1} frames, which no camera has, or at the ends not all have")
     note = f"{len(moments)} frames of {float(fps):g} a second, joined by time; {'; '.join(words)}"
@@ -158,11 +147,11 @@ def _joined_by_time(folder: Path, films: Sequence[Film]) -> MultiviewScene:
 
 
 def shortened(names: Sequence[str]) -> str:
-    return ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
 
 
 def find_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
-    """The files in a folder with some suffixes, by name; a folder that is not there has none."""
+    """Return the files in a folder with some suffixes, by name; none where it does not exist."""
     if not folder.is_dir():
         return []
     return sorted((path for path in folder.iterdir() if path.suffix.lower() in suffixes), key=natural_key)
@@ -171,41 +160,36 @@ def find_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
 def read_poses_bounds(folder: Path) -> MultiviewScene:
     path = folder / forms.LLFF
     videos = sorted(find_files(folder, VIDEO_SUFFIXES) + find_files(folder / "videos", VIDEO_SUFFIXES), key=natural_key)
-    cameras = [p.camera for p in forms.read_llff(path)]
+    cameras, stems = [p.camera for p in forms.read_llff(path)], [video.stem for video in videos]
     if len(cameras) != len(videos):
         raise SceneError(f"{path}: expected a row for each of {len(videos)} videos, got {len(cameras)}")
-    if twice := sorted({v.stem for v in videos if [w.stem for w in videos].count(v.stem) > 1}):
+    if twice := sorted({stem for stem in stems if stems.count(stem) > 1}):
         raise SceneError(f"{folder}: expected one video for each camera, got several of {', '.join(twice)}")
-    return scene_from_films(folder, [(_filmed(c, v), v) for c, v in zip(cameras, videos, strict=True)])
-
-
-def _filmed(camera: Camera, video: Path) -> Shot:
-    width, height = open_video(video).size  # the matrix may be of the videos before they were shrunk
-    split = "test" if video.stem == HELD_OUT else "train"
-    filmed = replace(with_pixels(camera, width, height), name=video.stem, split=split)
-    return Shot(filmed, Source(video))
-
-
-def has_colmap(folder: Path) -> bool:
-    return colmap.find_model(folder) is not None
+    films = []
+    for camera, video in zip(cameras, videos, strict=True):
+        shrunk = with_pixels(camera, *open_video(video).size)  # the matrix may be of the videos in another size
+        split = "test" if video.stem == "cam00" else "train"  # that of N3DV
+        films.append((Shot(replace(shrunk, name=video.stem, split=split), Source(video)), video))
+    return scene_from_films(folder, films)
 
 
 def read_colmap(folder: Path) -> MultiviewScene:
-    """The scene of a reconstruction; an image CAM.ext or CAM/any.ext belongs to the camera CAM.
+    """Read the scene of a reconstruction; an image CAM.ext or CAM/any.ext belongs to the camera CAM.
 
     A camera's pictures over time are a video or a folder; where no camera has any, the scene is one frame of all
-    images.
-
-    Raises SceneError.
+    images. Raises SceneError.
     """
     model = colmap.find_model(folder)
     if model is None:
         raise SceneError(f"{folder}: expected a COLMAP reconstruction, got none")
     posed, points = colmap.read(model), read_points3d(model)
-    shots = _first_shots(folder, posed)
+    shots: dict[str, Shot] = {}
+    for image in posed:
+        name = Path(image.picture).parent.name or Path(image.picture).stem
+        shots.setdefault(name, _shot(image, folder / "images" / image.picture, name))
     films = {name: _film(folder, name) for name in shots}
     if not any(films.values()):
-        frame = tuple(_shot(folder, image, image.picture) for image in posed)
+        frame = tuple(_shot(image, folder / "images" / image.picture, image.picture) for image in posed)
         return MultiviewScene(folder, DEFAULT_FPS, (frame,), points)
     if missing := [name for name, film in films.items() if film is None]:
         raise SceneError(f"{folder}: expected a video or a folder of frames of {', '.join(missing)}")
@@ -213,35 +197,20 @@ def read_colmap(folder: Path) -> MultiviewScene:
     return replace(scene, points=points)
 
 
-def _first_shots(folder: Path, posed: Sequence[Posed]) -> dict[str, Shot]:
-    shots: dict[str, Shot] = {}
-    for image in posed:
-        relative = Path(image.picture)
-        name = relative.parent.name or relative.stem
-        if name not in shots:
-            shots[name] = _shot(folder, image, name)
-    return shots
-
-
-def _shot(folder: Path, image: Posed, name: str) -> Shot:
-    return Shot(replace(image.camera, name=name), Source(folder / "images" / image.picture), image.lens)
+def _shot(posed: Posed, picture: Path, name: str, mask: Path | None = None) -> Shot:
+    return Shot(replace(posed.camera, name=name), Source(picture), posed.lens, mask)
 
 
 def _film(folder: Path, name: str) -> Path | None:
-    for video in (*find_files(folder / "videos", VIDEO_SUFFIXES), *find_files(folder, VIDEO_SUFFIXES)):
-        if video.stem == name:
-            return video
-    for place in (folder / "frames" / name, folder / "images" / name):
-        if len(find_files(place, PICTURE_SUFFIXES)) > 1:
-            return place
-    return None
-
-
-TRACK_BYTES = 8  # for each picture that saw a point
+    videos = (*find_files(folder / "videos", VIDEO_SUFFIXES), *find_files(folder, VIDEO_SUFFIXES))
+    places = (folder / "frames" / name, folder / "images" / name)
+    films = [video for video in videos if video.stem == name]
+    films += [place for place in places if len(find_files(place, PICTURE_SUFFIXES)) > 1]
+    return films[0] if films else None
 
 
 def read_points3d(model: Path) -> Points | None:
-    """The cloud of points in the folder of a reconstruction; None where it has no file of them. Raises SceneError."""
+    """Read the cloud of points in the folder of a reconstruction; None where it has no file. Raises SceneError."""
     for name, rows in (("points3D.bin", _rows_of_binary), ("points3D.txt", _rows_of_text)):
         path = model / name
         if path.is_file():
@@ -255,7 +224,7 @@ def _rows_of_binary(path: Path) -> Iterator[tuple[float, ...]]:
     cursor = Cursor.open(path)
     for _ in range(*cursor.take("Q")):
         _, x, y, z, red, green, blue, _, track = cursor.take("Q3d3BdQ")
-        cursor.skip(TRACK_BYTES * track)
+        cursor.skip(8 * track)  # bytes for each picture that saw the point
         yield x, y, z, red, green, blue
 
 
@@ -267,51 +236,44 @@ def _rows_of_text(path: Path) -> Iterator[tuple[float, ...]]:
                 yield x, y, z, red, green, blue
 
 
-WHITE = (1.0, 1.0, 1.0)
-PICTURES = "image_white_undistortion"
+HIFI4G = "image_white_undistortion"
 
 
 def has_hifi4g(folder: Path) -> bool:
-    return (folder / PICTURES).is_dir() or (folder.name == PICTURES and _hifi4g_model(folder) is not None)
+    return (folder / HIFI4G).is_dir() or (folder.name == HIFI4G and _hifi4g_model(folder) is not None)
 
 
 def read_hifi4g(folder: Path) -> MultiviewScene:
-    pictures = folder / PICTURES if (folder / PICTURES).is_dir() else folder
+    pictures = folder / HIFI4G if (folder / HIFI4G).is_dir() else folder
     model = _hifi4g_model(folder) or _hifi4g_model(pictures)
     if model is None:
-        raise SceneError(f"{folder}: expected colmap/sparse in it or in {PICTURES}/, got none")
+        raise SceneError(f"{folder}: expected colmap/sparse in it or in {HIFI4G}/, got none")
     numbered = [path for path in pictures.iterdir() if path.is_dir() and path.name.isdecimal()]
     if not numbered:
         raise SceneError(f"{pictures}: expected numbered folders, one a frame, got none")
     posed = sorted(colmap.read(model), key=lambda image: natural_key(Path(image.picture)))
-    frames = tuple(_hifi4g_frame(path, posed) for path in sorted(numbered, key=natural_key))
-    return MultiviewScene(folder, DEFAULT_FPS, frames, read_points3d(model), WHITE)
+    names, frames = [Path(image.picture).stem for image in posed], []
+    for path in sorted(numbered, key=natural_key):
+        of = {picture.stem: picture for picture in find_files(path, PICTURE_SUFFIXES)}
+        if missing := [name for name in names if name not in of]:
+            raise SceneError(f"{path}: expected pictures of {len(names)} cameras, got none of {', '.join(missing[:8])}")
+        frames.append(tuple(_shot(image, of[name], name) for image, name in zip(posed, names, strict=True)))
+    return MultiviewScene(folder, DEFAULT_FPS, tuple(frames), read_points3d(model), (1.0, 1.0, 1.0))
 
 
 def _hifi4g_model(folder: Path) -> Path | None:
     return colmap.find_model(folder / "colmap") if (folder / "colmap").is_dir() else None
 
 
-def _hifi4g_frame(folder: Path, posed: list[Posed]) -> tuple[Shot, ...]:
-    by_stem = {path.stem: path for path in find_files(folder, PICTURE_SUFFIXES)}
-    names = [Path(image.picture).stem for image in posed]
-    if missing := [name for name in names if name not in by_stem]:
-        raise SceneError(f"{folder}: expected pictures of {len(names)} cameras, got none of {', '.join(missing[:8])}")
-    return tuple(
-        Shot(replace(image.camera, name=name), Source(by_stem[name]), image.lens)
-        for image, name in zip(posed, names, strict=True)
-    )
-
-
 def _has(name: str) -> Callable[[Path], bool]:
     return lambda folder: (folder / name).is_file()
 
 
-FORMATS = (  # what a folder has, how it is recognised and read; the first that recognises a folder reads it
+FORMATS = (  # what a folder has, what recognises it and reads it; the first that recognises a folder reads it
     (forms.PANOPTIC, _has(forms.PANOPTIC), read_panoptic),
     (forms.TRANSFORMS, _has(forms.TRANSFORMS), read_transforms),
     ("image_white_undistortion/ (HiFi4G)", has_hifi4g, read_hifi4g),
-    ("COLMAP's sparse/", has_colmap, read_colmap),
+    ("COLMAP's sparse/", lambda folder: colmap.find_model(folder) is not None, read_colmap),
     (forms.LLFF, _has(forms.LLFF), read_poses_bounds),
 )
 
@@ -321,12 +283,12 @@ def _reader(folder: Path) -> Callable[[Path], MultiviewScene] | None:
 
 
 def is_multiview(folder: Path) -> bool:
-    """Whether a folder looks like multi-view video rather than a Gaussian sequence."""
+    """Return whether a folder looks like multi-view video rather than a Gaussian sequence."""
     return folder.is_dir() and not has_frames(folder, apart_from=POINT_FILES) and _reader(folder) is not None
 
 
 def has_gaussians(place: str | Path) -> bool:
-    """Whether a file or frames of Gaussians are at a place, rather than multi-view pictures and a cloud of points."""
+    """Return whether a place has a file or frames of Gaussians, not multi-view pictures and a cloud of points."""
     path = Path(place)
     if not path.is_dir():
         return is_address(place) or path.is_file()
@@ -337,19 +299,17 @@ def has_gaussians(place: str | Path) -> bool:
 def open_scene(
     folder: Path, *, fps: Fraction | None = None, frames: tuple[int, int | None] = (0, None)
 ) -> MultiviewScene:
-    """The multi-view scene in a folder, or its frames [A, B). Nothing is read from pictures yet.
+    """Open the multi-view scene in a folder, or its frames [A, B), without reading pictures yet.
 
-    `fps`: frames a second, instead of what the scene says.
-
-    Raises SceneError when no format fits, a file is broken or missing, or the frames are not there.
+    `fps`: frames a second, instead of what the scene says. Raises SceneError when no format fits, or a file or frames
+    are broken or missing.
     """
     if (read := _reader(folder)) is None:
         *others, last = [sign for sign, *_ in FORMATS]
         raise SceneError(f"{folder}: expected multi-view pictures with {', '.join(others)} or {last}")
     scene = read(folder)
-    for number, shots in enumerate(scene.frames):
-        if not shots:
-            raise SceneError(f"{folder}: expected pictures of frame {number}, got none")
+    if (empty := next((number for number, shots in enumerate(scene.frames) if not shots), None)) is not None:
+        raise SceneError(f"{folder}: expected pictures of frame {empty}, got none")
     start, stop = frames_of(scene, frames)
     points = scene.points or (_read_points(folder) if start == 0 else None)
     if turned := [s.camera.name for s in scene.frames[0] if isinstance(s.source, Source) and is_turned(s.source.path)]:

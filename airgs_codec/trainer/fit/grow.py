@@ -4,10 +4,8 @@ Rows are split or cloned where the loss changes most with their place, within a 
 as in Taming 3DGS (Mallick et al. 2024), instead of a threshold on the gradient, whose right value depends on the
 resolution; or else the threshold of 3DGS (Kerbl et al. 2023) decides, and the budget only bounds it.
 
-That only refines what is there; an object in empty space has no Gaussian near it to clone (21.7 dB against 33.9 with
-seeds on a test scene). Seeds lie on the visual hull of what the views cannot explain: a point belongs to it if almost
-every view that sees it disagrees there.
-
+An object in empty space has no Gaussian near it to clone (21.7 dB against 33.9 with seeds on a test scene). Seeds lie
+on the visual hull of what the views cannot explain: a point belongs to it if almost every view that sees it disagrees.
 What only far cameras see may stand anywhere before what they look at. Viewers stand where cameras do, and between them.
 
 N Gaussians, of which the first `fixed` stay in any case, P points, V views, H x W pixels.
@@ -33,16 +31,8 @@ from airgs_codec.trainer.data.pictures import Masks, View
 from airgs_codec.trainer.fit.losses import InMotion, Parameters, loading, rotate
 from airgs_codec.trainer.fit.points import from_points, neighbours, project
 
-LARGE = 0.003  # of the scene's extent: larger Gaussians are split, smaller ones cloned
-SPLIT_SHRINK = math.log(1.6)  # 3DGS: children of a split are 1.6 times smaller
 LOW_OPACITY = 0.005  # 3DGS; alpha below 1/255 = 0.0039 is not drawn
-CHECKS = (0.3, 0.5, 0.7, 0.9)  # shares of the iterations of a fit at which it is removed: what stays fills in for it
-NEARER = 4.0  # times as near as any camera that sees it may a viewer come to a Gaussian
-BEHIND = 0.25  # of its distance from a viewer, by which cameras see past what hangs free
-ONE_WAY = 0.99  # length of the mean direction to the cameras that see it, from which they tell no depth: 8° off it
-CLEARLY = 0.5  # of its opacity, with which a camera sees it
-AROUND = 3  # cameras about each one, to which viewers may go
-SHRUNK = 0.5  # pictures that tell it have this share of their pixels on either side
+CHECKS = (0.3, 0.5, 0.7, 0.9)  # shares of a fit after which free-hanging rows are removed: others then replace them
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +41,11 @@ class Growth:
     start: float = 0.1  # share of the iterations
     stop: float = 0.6  # share of the iterations
     every: int = 50  # iterations
-    large: float = LARGE  # of the scene's extent
+    large: float = 0.003  # of the scene's extent: larger Gaussians are split, smaller ones cloned
     threshold: float | None = None  # on the mean gradient of a row, as `AbsGrad.signed` gives it; None: a ramp
 
     def target(self, before: int, done: float) -> int:
-        """Rows there should be when a share `done` of the iterations is past, starting from `before`.
+        """Return the number of rows wanted when a share `done` of the iterations is past, starting from `before`.
 
         The ramp is quadratic and flat at the end: early rows have more time to settle.
         """
@@ -66,13 +56,12 @@ class Growth:
         return self.start * iterations <= iteration <= self.stop * iterations and iteration % self.every == 0
 
     def removes(self, iteration: int, iterations: int) -> bool:
-        """Whether faint rows are removed after this iteration: by a threshold throughout, else when rows are added."""
-        throughout = self.threshold is not None and iteration % self.every == 0
-        return throughout or self.due(iteration, iterations)
+        """Return whether faint rows are removed now: when rows are added, with a threshold throughout."""
+        return (self.threshold is not None and iteration % self.every == 0) or self.due(iteration, iterations)
 
 
 def growth_of_3dgs(most: int, pictures: int) -> Growth:
-    """Growth with the constants of 3DGS as shares of its 30,000 iterations, each of so many `pictures` on average."""
+    """Return growth with the constants of 3DGS as shares of its 30,000 iterations, each of some `pictures`."""
     return Growth(most, start=1 / 60, stop=0.5, every=100, large=0.01, threshold=2e-4 / pictures)
 
 
@@ -80,19 +69,15 @@ class Densifier:
     """The mean gradient of each row since rows were last added, and the rows that follow from it."""
 
     def __init__(self, growth: Growth, rows: int, rng: np.random.Generator) -> None:
-        """For a fit that begins with so many `rows`."""
-        self.growth = growth
-        self._before = rows
-        self._rng = rng
+        self.growth, self._before, self._rng = growth, rows, rng
         self.restart(rows)
 
     def restart(self, rows: int) -> None:
-        """Forget what was collected; from now on there are so many `rows`."""
-        self._sum = torch.zeros(rows)
-        self._count = torch.zeros(rows)
+        """Forget what was collected, of what are now `rows`."""
+        self._sum, self._count = torch.zeros(rows), torch.zeros(rows)
 
     def collect(self, absgrad: AbsGrad, picked: Callable[[torch.Tensor], torch.Tensor] | None = None) -> None:
-        """Add the gradients of an iteration's pictures after their backward pass; `picked` takes fitted rows' own."""
+        """Add the gradients of an iteration after its backward pass; `picked` takes those of fitted rows."""
         gradients, seen = absgrad.read() if self.growth.threshold is None else absgrad.signed()
         if picked:
             gradients, seen = picked(gradients), picked(seen)
@@ -100,11 +85,11 @@ class Densifier:
         self._count = self._count.to(seen.device) + seen
 
     def mean(self) -> torch.Tensor:
-        """(N,) mean over the pictures that showed a row; 0 where none did."""
+        """Return (N,) means over the pictures that showed a row; 0 where none did."""
         return self._sum / self._count.clamp_min(1)
 
     def grow(self, p: Parameters, extent: float, fixed: int, done: float) -> tuple[torch.Tensor, Parameters | None]:
-        """Mask (N,) of the rows that go on, and the new rows that are due when a share `done` is past."""
+        """Return a mask (N,) of the rows that stay, and the new rows that are due when a share `done` is past."""
         score, limit = self.mean(), self.growth.threshold
         if limit is None:
             wanted = self.growth.target(self._before, done)
@@ -116,7 +101,7 @@ class Densifier:
 
 
 def strongest(score: torch.Tensor, count: int) -> torch.Tensor:
-    """(N,) mask of the `count` rows of highest score; rows of score 0 are never among them."""
+    """Return a mask (N,) of the `count` rows of highest score, none of score 0."""
     count = max(0, min(count, int((score > 0).sum())))
     mask = torch.zeros_like(score, dtype=torch.bool)
     mask[torch.topk(score, count).indices] = True
@@ -126,94 +111,82 @@ def strongest(score: torch.Tensor, count: int) -> torch.Tensor:
 def split_or_clone(
     p: Parameters, parents: torch.Tensor, split: torch.Tensor, fixed: int, rng: np.random.Generator
 ) -> tuple[torch.Tensor, Parameters | None]:
-    """Mask (N,) of the rows that go on, and one new row more for each of the `parents` (N,); None: there are none.
+    """Return a mask (N,) of the rows that stay, and new rows, one more for each of the `parents` (N,), if any.
 
-    Rows in `split` (N,) become two smaller ones drawn from them, the other parents are cloned. The first `fixed` rows
-    go on in any case, and get one child each.
+    Rows in `split` (N,) become two 1.6 times smaller ones drawn from them, as in 3DGS; the other parents are cloned.
+    The first `fixed` rows stay in any case, and get one child each.
     """
     if not bool(parents.any()):
         return torch.ones_like(parents), None
-    goes = split & (torch.arange(len(split), device=split.device) >= fixed)
-    rows = torch.cat([torch.nonzero(mask)[:, 0] for mask in (parents, goes)])  # one that goes leaves two
+    removed = split & (torch.arange(len(split), device=split.device) >= fixed)
+    rows = torch.cat([torch.nonzero(mask)[:, 0] for mask in (parents, removed)])  # a removed one has two children
     moved = split[rows]
     children = {name: value[rows].clone() for name, value in p.items()}
     normal = torch.from_numpy(rng.standard_normal((int(moved.sum()), 3)).astype(np.float32)).to(p["means"])
     turns = torch.nn.functional.normalize(children["quaternions"][moved], dim=1)
     children["means"][moved] += rotate(turns, normal * children["log_scales"][moved].exp())
-    children["log_scales"][moved] -= SPLIT_SHRINK
-    return ~goes, children
+    children["log_scales"][moved] -= math.log(1.6)
+    return ~removed, children
 
 
 def is_visible(p: Parameters, fixed: int, low: float = LOW_OPACITY) -> torch.Tensor:
-    """(N,) mask of the first `fixed` rows and of those whose opacity is at least `low`."""
+    """Return a mask (N,) of the first `fixed` rows and of those whose opacity is at least `low`."""
     keep = p["opacity_logits"].sigmoid() >= low
     keep[:fixed] = True
     return keep
 
 
 CANDIDATES = 200_000  # points that are drawn to find the hull, and drawn again inside it
-RESIDUAL = 0.06  # mean absolute difference of colours over 3 x 3 pixels, from which a view disagrees
-AGREE = 0.85  # share of the views that see a point of the hull, which disagree there
-SEEN = 0.5  # share of all views that see a point of the hull
-FEWEST = 50  # points of a hull; below that it is noise, and densification has to do
-OPACITY = 0.5  # of a seed
-VISIBLE = 0.1  # opacity of a Gaussian that counts as being there
-CLEAR = 3.0  # median spacings of what is there: nearer to it, it can move or change its colour itself
-TIGHT = 0.7  # radius of a seed, over the distance to the nearest ones: they lie on a surface
+Mask = NDArray[np.bool_]  # (H, W)
+Places = NDArray[np.float64]  # (P, 3)
 
 
 def find_wrong(g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer = CPU) -> Masks:
-    """The pixels of views where the pictures of `g` differ from them."""
+    """Return masks of the pixels of views where the pictures of `g` differ by 0.06, in the mean of 3 x 3 pixels."""
     loaded = loading(g, renderer)
     differences = (np.abs(loaded(v.after).draw(v.camera).rgb - v.target.rgb).mean(axis=2) for v in views)
-    return Masks(box_mean(difference, 3) > RESIDUAL for difference in differences)
+    return Masks(box_mean(difference, 3) > 0.06 for difference in differences)
 
 
 def residual_seeds(
-    g: Gaussians,
-    views: Sequence[View],
-    wrong: Sequence[NDArray[np.bool_]],
-    most: int,
-    largest: float,
-    rng: np.random.Generator,
+    g: Gaussians, views: Sequence[View], wrong: Sequence[Mask], most: int, largest: float, rng: np.random.Generator
 ) -> Gaussians | None:
-    """Up to `most` Gaussians of radius `largest` at most where `g` is `wrong` (H, W); None where nothing appeared."""
-    coarse = _hull_of(_away_from_visible(rng.uniform(*_box(g), (CANDIDATES, 3)), g), views, wrong)
-    if len(coarse) < FEWEST or most < 1:
-        return None
-    low, high = coarse.min(axis=0), coarse.max(axis=0)
-    margin = 0.05 * (high - low)
-    drawn = rng.uniform(low - margin, high + margin, (CANDIDATES, 3))
-    hull = _hull_of(_away_from_visible(drawn, g), views, wrong)
-    if len(hull) < FEWEST:
-        return None
+    """Place up to `most` Gaussians of radius `largest` at most where `g` is `wrong` (H, W); None: nothing appeared."""
+    visible = g.means[g.opacities() > 0.1].astype(np.float64)
+    low, high = np.quantile(visible if len(visible) else g.means, [0.01, 0.99], axis=0)
+    margin = 0.2 * (high - low)
+    for _ in range(2):  # coarsely, and again within what was found
+        drawn = rng.uniform(low - margin, high + margin, (CANDIDATES, 3))
+        hull = _hull_of(_away_from(visible, drawn), views, wrong)
+        if len(hull) < 50 or most < 1:  # noise
+            return None
+        low, high = hull.min(axis=0), hull.max(axis=0)
+        margin = 0.05 * (high - low)
     points, colours, disagreement = _surface_of(hull, views)
     chosen = _one_per_cell(points, disagreement, most)
     if not len(chosen):
         return None
     places, shown = (a[chosen].astype(np.float32) for a in (points, colours))
-    seeds = from_points(places, shown, g.sh_degree, OPACITY, largest)
-    sizes = np.minimum(seeds.log_scales, np.median(seeds.log_scales))  # one that lies apart is no larger than others
-    return replace(seeds, log_scales=sizes + np.float32(np.log(TIGHT)))
+    seeds = from_points(places, shown, g.sh_degree, 0.5, largest)
+    sizes = np.minimum(seeds.log_scales, np.median(seeds.log_scales))  # a distant one is no larger than others
+    return replace(seeds, log_scales=sizes + np.float32(np.log(0.7)))  # they lie on a surface
 
 
-def _hull_of(
-    points: NDArray[np.float64], views: Sequence[View], wrong: Sequence[NDArray[np.bool_]]
-) -> NDArray[np.float64]:
+def _hull_of(points: Places, views: Sequence[View], wrong: Sequence[Mask]) -> Places:
     seen, agree = np.zeros(len(points)), np.zeros(len(points))
     for view, mask in zip(views, wrong, strict=True):
         rows, columns, inside = project(view.camera, points)
         seen[inside] += 1
         agree[inside] += mask[rows, columns]
-    return points[(seen >= SEEN * len(views)) & (agree >= AGREE * seen)]
+    return points[(seen >= 0.5 * len(views)) & (agree >= 0.85 * seen)]
 
 
-def _away_from_visible(points: NDArray[np.float64], g: Gaussians) -> NDArray[np.float64]:
-    there = g.means[g.opacities() > VISIBLE].astype(np.float64)
-    if len(there) < 2:
+def _away_from(visible: Places, points: Places) -> Places:
+    # Within three median spacings of a visible Gaussian, that one can move or change its colour itself.
+    if len(visible) < 2:
         return points
-    tree = cKDTree(there)
-    clear = CLEAR * float(np.median(tree.query(there, k=2)[0][:, 1]))
+    tree = cKDTree(visible)
+    clear = 3 * float(np.median(tree.query(visible, k=2)[0][:, 1]))
     return points[tree.query(points, distance_upper_bound=clear)[0] > clear]
 
 
@@ -254,23 +227,16 @@ def _one_per_cell(points: NDArray[np.float64], disagreement: NDArray[np.float64]
     return best[:most]
 
 
-def _box(g: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners (3,) of the box that holds all but the farthest hundredths, and a fifth more on every side."""
-    visible = g.means[g.opacities() > VISIBLE].astype(np.float64)
-    low, high = np.quantile(visible if len(visible) else g.means, [0.01, 0.99], axis=0)
-    return low - 0.2 * (high - low), high + 0.2 * (high - low)
-
-
 def in_open_space(g: Gaussians, cameras: Sequence[Camera], renderer: Renderer = CPU) -> NDArray[np.bool_]:
-    """(N,) rows that no camera sees from as near as viewers may be, and that are seen from one side, or seen past.
+    """Return (N,) rows that no camera sees from as near as viewers may be, and that are seen from one side, or past.
 
-    At what depth a thing is that one camera sees, or two beside each other, pictures hardly tell: the fit puts it
-    elsewhere as well.
+    The depth of what cameras within 8° see is hardly known: the fit puts it elsewhere as well. A viewer may come
+    four times as near as any camera that sees it, and cameras see past it by a quarter of its distance from a viewer.
     """
     loaded, opacities, means = renderer.load(g), g.opacities(), g.means.astype(np.float64)
     nearest, (behind, weight, count) = np.full(len(g), np.inf), np.zeros((3, len(g)))
     towards = np.zeros((len(g), 3))
-    for camera in (resized(camera, SHRUNK) for camera in cameras):
+    for camera in (resized(camera, 0.5) for camera in cameras):
         found = loaded.contribution(camera)
         depths = means @ camera.world_to_camera[2, :3] + camera.world_to_camera[2, 3]
         colours = np.repeat(((depths - 0.5) / SH_C0).astype(np.float32)[:, None], 3, axis=1)
@@ -280,19 +246,14 @@ def in_open_space(g: Gaussians, cameras: Sequence[Camera], renderer: Renderer = 
         past = (picture.rgb[..., 0] / opaque)[rows, columns] - depths[inside]
         behind[inside] += found.total[inside] * past
         weight[inside] += found.total[inside]
-        seen, drawn = found.peak > CLEARLY * opacities, found.hits > 0
+        seen, drawn = found.peak > 0.5 * opacities, found.hits > 0
         to = camera.position - means
         distances = np.linalg.norm(to, axis=1)
         nearest[seen] = np.minimum(nearest, distances)[seen]
         count += drawn
         towards[drawn] += (to / distances[:, None])[drawn]
-    away = cKDTree(_places(cameras)).query(means)[0]
-    one_way = np.linalg.norm(towards, axis=1) > ONE_WAY * count
-    return np.isfinite(nearest) & (nearest > NEARER * away) & (one_way | (behind > BEHIND * away * weight))
-
-
-def _places(cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """(P, 3) where viewers may be: at cameras, and between neighbours."""
     at = np.stack([camera.position for camera in cameras])
-    between = [(at[a] + at[b]) / 2 for a, b in neighbours(cameras, AROUND)]
-    return np.concatenate([at, np.reshape(between, (-1, 3))])
+    between = [(at[a] + at[b]) / 2 for a, b in neighbours(cameras, 3)]  # viewers may go from one to the next
+    away = cKDTree(np.concatenate([at, np.reshape(between, (-1, 3))])).query(means)[0]
+    one_way = np.linalg.norm(towards, axis=1) > 0.99 * count
+    return np.isfinite(nearest) & (nearest > 4 * away) & (one_way | (behind > 0.25 * away * weight))

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-# As in the renderer's kernels: never nnan or ninf, so that a NaN in a picture stays one in the loss.
-FAST = {"reassoc", "contract", "arcp", "nsz", "afn"}
+from airgs_codec.render.cpu_kernels import FAST
+
 f4 = np.float32
 
 RADIUS = 5

@@ -3,10 +3,9 @@
 L_3DGS = (1 - lambda) L1 + lambda (1 - SSIM) (AirGS, "Representation"): on the CPU one fused pass (`kernels`), on CUDA
 the same numbers from separable convolutions.
 
-L_temp counts a change in the steps that the codec will code it with. The paper's sum of |d| has no unit and no
-reduction (AirGS, "Training" 2): summed over raw values its 1e-3 stops all motion, averaged it does nothing. Here it is
-the mean over Gaussians of |d|_1 with every channel in units of the codec's step:
-weight * mean_i sum_c |d_ic| / step_ic.
+The paper's L_temp, the sum of |d|, has no unit and no reduction (AirGS, "Training" 2): summed over raw values its 1e-3
+stops all motion, averaged it does nothing. Here it is weight * mean_i sum_c |d_ic| / step_ic, a mean over Gaussians in
+units of the steps by which the codec will code each channel.
 
 The PSNR of training is the mean over views of each view's PSNR in dB. The PSNR of a package pools the squared error of
 its pictures first, and is lower where views differ.
@@ -36,11 +35,11 @@ from airgs_codec.render.cuda import Picture as Drawn
 from airgs_codec.scene.camera import Camera, scene_scale
 from airgs_codec.scene.frames import QUATERNION_MIN_NORM
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
-from airgs_codec.trainer.data.pictures import Target, View
+from airgs_codec.trainer.data.pictures import TargetPicture, View
 from airgs_codec.trainer.fit import kernels
 from airgs_codec.trainer.settings import Temporal
 
-ATTRIBUTES = tuple(f.name for f in fields(Gaussians))
+GAUSSIAN_FIELDS = tuple(f.name for f in fields(Gaussians))
 Parameters = dict[str, torch.Tensor]  # attribute -> (N, ...)
 # Quaternions of other lengths are made unit ones before a fit: Adam's steps have one size, by which a short quaternion
 # would be thrown about and a long one could not turn.
@@ -54,52 +53,48 @@ class InMotion:
     cleared: int = 0  # rows of its fit that hung in open space and were removed
 
     def at(self, after: float) -> Gaussians:
-        """So many frames after their time; where they are, where their velocity is not known."""
+        """Return them `after` frames past their time; as they are without a velocity."""
         if not after or self.velocity is None:
             return self.gaussians
         return replace(self.gaussians, means=self.gaussians.means + np.float32(after) * self.velocity)
 
 
 def loading(g: Gaussians | InMotion, renderer: Renderer) -> Callable[[float], Loaded]:
-    """What gives Gaussians so many frames after their time, ready to be drawn; each is loaded once."""
+    """Return a function that loads Gaussians some frames after their time, each once."""
     return cache(lambda after: renderer.load(g.at(after) if isinstance(g, InMotion) else g))
 
 
 def from_gaussians(g: Gaussians, device: str = "cpu") -> Parameters:
-    """Copies on a device; quaternions whose length is not within LENGTHS get length 1, unless they stand for none."""
-    columns = {name: getattr(g, name) for name in ATTRIBUTES} | {"quaternions": _of_usual_length(g.quaternions)}
+    """Copy to a device; quaternions of a length not within LENGTHS get length 1, but for those drawn as identity."""
+    length = np.linalg.norm(g.quaternions.astype(np.float64), axis=1, keepdims=True)
+    usual = ((length >= LENGTHS[0]) & (length <= LENGTHS[1])) | ~(length > QUATERNION_MIN_NORM)
+    unit = np.where(usual, g.quaternions, g.quaternions / np.where(usual, 1.0, length)).astype(np.float32)
+    columns = {name: getattr(g, name) for name in GAUSSIAN_FIELDS} | {"quaternions": unit}
     return {name: torch.tensor(column, device=device) for name, column in columns.items()}
 
 
-def _of_usual_length(quaternions: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(N, 4) quaternions; those shorter than QUATERNION_MIN_NORM, which are drawn as the identity, stay."""
-    length = np.linalg.norm(quaternions.astype(np.float64), axis=1, keepdims=True)
-    usual = ((length >= LENGTHS[0]) & (length <= LENGTHS[1])) | ~(length > QUATERNION_MIN_NORM)
-    return np.where(usual, quaternions, quaternions / np.where(usual, 1.0, length)).astype(np.float32)
-
-
 def to_gaussians(p: Mapping[str, torch.Tensor]) -> Gaussians:
-    return Gaussians(*(p[name].detach().cpu().numpy().astype(np.float32) for name in ATTRIBUTES))
+    return Gaussians(*(p[name].detach().cpu().numpy().astype(np.float32) for name in GAUSSIAN_FIELDS))
 
 
 def multiply(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """The Hamilton product of quaternions (N, 4)."""
+    """Return the Hamilton product of quaternions (N, 4)."""
     aw, av, bw, bv = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
     vector = aw * bv + bw * av + torch.linalg.cross(av, bv)
     return torch.cat([aw * bw - (av * bv).sum(dim=1, keepdim=True), vector], dim=1)
 
 
 def rotate(q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
-    """Vectors (N, 3) turned by unit quaternions (N, 4)."""
+    """Turn vectors (N, 3) by unit quaternions (N, 4)."""
     turned = 2 * torch.linalg.cross(q[:, 1:], v)
     return v + q[:, :1] * turned + torch.linalg.cross(q[:, 1:], turned)
 
 
-MOTION = "motion"  # beside the attributes, (N, 3): what means move by in a frame
+MOTION = "motion"  # a further parameter (N, 3): what means move by in a frame
 
 
 def with_motion(p: Parameters, views: Sequence[View], motion: NDArray[np.float32] | None = None) -> Parameters:
-    """Parameters that have a motion as well, where views show them at other times; None: 0."""
+    """Return parameters with a motion, by default 0, where views show them at other times."""
     if not any(view.after for view in views):
         return p
     start = torch.zeros_like(p["means"]) if motion is None else torch.from_numpy(motion).to(p["means"])
@@ -107,7 +102,7 @@ def with_motion(p: Parameters, views: Sequence[View], motion: NDArray[np.float32
 
 
 def to_moving(p: Parameters) -> InMotion:
-    """Copies in float32, with the motion where there is one."""
+    """Return copies in float32, with the motion, if any."""
     motion = p.get(MOTION)
     return InMotion(to_gaussians(p), None if motion is None else motion.cpu().numpy().astype(np.float32))
 
@@ -119,12 +114,12 @@ def zeros_like(p: Mapping[str, torch.Tensor]) -> Parameters:
 def take_and_append(
     old: Mapping[str, torch.Tensor], keep: torch.Tensor, new: Mapping[str, torch.Tensor] | None
 ) -> Parameters:
-    """The rows of `old` in the mask `keep` (N,), in order, and the rows of `new` after them."""
+    """Return the rows of `old` in the mask `keep` (N,), in order, and the rows of `new` after them."""
     return {n: v[keep] if new is None else torch.cat([v[keep], new[n]]) for n, v in old.items()}
 
 
 def render(p: Mapping[str, torch.Tensor], camera: Camera, sh_degree: int, absgrad: AbsGrad | None = None) -> Drawn:
-    """The picture (H, W, 3) and its transmittance (H, W), differentiable, with SH up to `sh_degree`."""
+    """Draw the picture (H, W, 3) and its transmittance (H, W), differentiable, with SH up to `sh_degree`."""
     return rasterize_views(_activated(p, sh_degree), [camera], absgrad)[0]
 
 
@@ -135,7 +130,7 @@ def render_views(
     absgrad: AbsGrad | None = None,
     redraws: Sequence[Redraw | None] | None = None,
 ) -> list[Drawn]:
-    """The same for each of several cameras; `redraws`: one for each, as in `rasterize`."""
+    """Draw the same for each of several cameras; `redraws`: one for each, as in `rasterize`."""
     return rasterize_views(_activated(p, sh_degree), cameras, absgrad, redraws)
 
 
@@ -148,7 +143,7 @@ POOLED.append(kernels)
 LAMBDA = 0.2  # weight of 1 - SSIM, as AirGS and 3DGS have it
 
 
-def photometric(rgb: torch.Tensor, target: Target, weight: float = LAMBDA) -> torch.Tensor:
+def photometric(rgb: torch.Tensor, target: TargetPicture, weight: float = LAMBDA) -> torch.Tensor:
     """Return L_3DGS of a rendered picture (H, W, 3), a scalar; `weight` is lambda."""
     loss: torch.Tensor = _on_cuda(rgb, target, weight) if rgb.is_cuda else _Fused.apply(rgb, target, weight)
     return loss
@@ -156,12 +151,11 @@ def photometric(rgb: torch.Tensor, target: Target, weight: float = LAMBDA) -> to
 
 class _Fused(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, rgb: torch.Tensor, target: Target, weight: float) -> torch.Tensor:
+    def forward(ctx: Any, rgb: torch.Tensor, target: TargetPicture, weight: float) -> torch.Tensor:
         rows = np.ascontiguousarray(rgb.detach().numpy(), np.float32).reshape(target.rows.shape)
         gradient = np.empty_like(rows)
         sums = np.empty((len(rows), 2))
-        scratch = _scratch(rows.shape)
-        arguments = (1 - weight, weight, *scratch, gradient, sums)
+        arguments = (1 - weight, weight, *_scratch(rows.shape), gradient, sums)
         kernels.l1_dssim(rows, target.rows, *moments(target), *arguments)
         l1, ssim = sums.sum(axis=0) / rows.size
         ctx.gradient = torch.from_numpy(gradient.reshape(rgb.shape))
@@ -172,36 +166,36 @@ class _Fused(torch.autograd.Function):
         return ctx.gradient * grads[0], None, None
 
 
-def moments(target: Target) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Windowed mean and variance of a target for SSIM, (H, n) each; it holds them from then on."""
+def moments(target: TargetPicture) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return windowed mean and variance of a target for SSIM, (H, n) each, which it stores."""
     if target.moments is None:
         target.moments = np.empty_like(target.rows), np.empty_like(target.rows)
         kernels.window_moments(target.rows, *target.moments)
     return target.moments
 
 
-_SCRATCH: dict[tuple[int, ...], tuple[NDArray[np.float32], NDArray[np.float32]]] = {}
-
-
+@cache
 def _scratch(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    if shape not in _SCRATCH:
-        padded = (3, shape[0] + 2 * kernels.RADIUS, shape[1])
-        _SCRATCH[shape] = (np.zeros(padded, np.float32), np.zeros(padded, np.float32))
-    return _SCRATCH[shape]
+    padded = (3, shape[0] + 2 * kernels.RADIUS, shape[1])
+    return np.zeros(padded, np.float32), np.zeros(padded, np.float32)
 
 
-def _on_cuda(rgb: torch.Tensor, target: Target, weight: float) -> torch.Tensor:
-    """Return the loss without waiting for the device."""
+def _on_cuda(rgb: torch.Tensor, target: TargetPicture, weight: float) -> torch.Tensor:
     if target.on_device is None:
         target.on_device = upload(target.rgb, rgb.device)
     truth: torch.Tensor = target.on_device
     return (1 - weight) * (rgb - truth).abs().mean() + weight * (1 - windowed_ssim(rgb, truth))
 
 
-def windowed_ssim(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """Mean SSIM (Wang et al. 2004) of pictures (H, W, 3) that are zero outside, on any device in any precision."""
+@cache
+def _window(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
     half = [kernels.W0, kernels.W1, kernels.W2, kernels.W3, kernels.W4]
-    window = upload([*half, kernels.W5, *half[::-1]], a.device).to(a.dtype)
+    return torch.tensor([*half, kernels.W5, *half[::-1]]).to(device, dtype)
+
+
+def windowed_ssim(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """Return the mean SSIM (Wang et al. 2004) of pictures (H, W, 3) that are zero outside, on any device."""
+    window = _window(a.dtype, a.device)
 
     def blur(x: torch.Tensor) -> torch.Tensor:
         x = x.permute(2, 0, 1)[:, None]
@@ -215,12 +209,8 @@ def windowed_ssim(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     return (top / ((mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2))).mean()
 
 
-# The derivative of alpha by its logit is taken to be at least this: near 0 and 1 a step of alpha is no finite logit.
-LEAST_SLOPE = 0.02
-
-
 def temporal_weights(temporal: Temporal, steps: Mapping[str, torch.Tensor]) -> Parameters:
-    """Weight of |d| of every element, from the codec step of each."""
+    """Return the weight of |d| of every element, from the codec step of each."""
     if temporal.unit == "raw":
         return {name: torch.full_like(step, temporal.weight) for name, step in steps.items()}
     return {name: temporal.weight / (len(step) * step) for name, step in steps.items()}
@@ -229,10 +219,11 @@ def temporal_weights(temporal: Temporal, steps: Mapping[str, torch.Tensor]) -> P
 def codec_steps(
     g: Gaussians, cameras: Sequence[Camera], steps: StepSettings | None = None, renderer: Renderer = CPU
 ) -> Parameters:
-    """One codec step for every element of the stored attributes, to first order, where the Gaussians are now.
+    """Return a codec step for every element of the stored attributes, to first order, where the Gaussians are now.
 
     Means: the row's motion unit, by how much pictures depend on it. Quaternions: half the rotation's step, as a small
-    rotation w changes a unit quaternion by w / 2. Opacity: the step of alpha over alpha's derivative by the logit.
+    rotation w changes a unit quaternion by w / 2. Opacity: the step of alpha over alpha's derivative by the logit,
+    which is at least 0.02: near 0 and 1 a step of alpha is no finite logit.
     """
     state = (steps or StepSettings()).delta
     sensitivity = measure_sensitivity([g], cameras, renderer)
@@ -244,36 +235,35 @@ def codec_steps(
         "means": np.broadcast_to((unit * state.means)[:, None], g.means.shape),
         "quaternions": np.broadcast_to(state.quaternions / 2 * np.maximum(length, 1e-12), g.quaternions.shape),
         "log_scales": np.full(g.log_scales.shape, state.log_scales),
-        "opacity_logits": state.opacity / np.maximum(alpha * (1 - alpha), LEAST_SLOPE),
+        "opacity_logits": state.opacity / np.maximum(alpha * (1 - alpha), 0.02),
         "sh_dc": np.full(g.sh_dc.shape, state.sh_dc),
         "sh_rest": np.full(g.sh_rest.shape, state.sh_rest),
     }
-    return {name: torch.from_numpy(np.ascontiguousarray(table[name], np.float32)) for name in ATTRIBUTES}
+    return {name: torch.from_numpy(np.ascontiguousarray(table[name], np.float32)) for name in GAUSSIAN_FIELDS}
 
 
 PSNR_DEFINITION = "mean over views of the PSNR of each, in dB"
 
 
 def mean_psnr(g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer = CPU) -> float:
-    """Mean over views of each view's PSNR in dB."""
+    """Return the mean over views of each view's PSNR in dB."""
     return float(np.mean([psnr(error) for error in _compare(g, views, renderer, Picture.mse)]))
 
 
 def matched_psnr(g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer = CPU) -> float:
-    """Mean PSNR over views in dB, channels with the gain and offset that show most where halves agree."""
+    """Return the mean PSNR over views in dB, with the best gain and offset of each channel if halves agree."""
     return float(np.mean([psnr(error) for error in _compare(g, views, renderer, _matched_mse)]))
 
 
 def _matched_mse(picture: Picture, shown: Picture) -> float:
-    whole, middle = np.stack([picture.rgb, shown.rgb]), picture.rgb.shape[1] // 2
+    whole, middle, plain = np.stack([picture.rgb, shown.rgb]), picture.rgb.shape[1] // 2, picture.mse(shown)
     left, right = whole[:, :, :middle], whole[:, :, middle:]
-    plain = picture.mse(shown)
-    other = (_left(left, right) * left.size + _left(right, left) * right.size) / whole.size
-    return min(plain, _left(whole, whole)) if other < plain else plain
+    crossed = (_mse_after(left, right) * left.size + _mse_after(right, left) * right.size) / whole.size
+    return min(plain, _mse_after(whole, whole)) if crossed < plain else plain
 
 
-def _left(found_in: NDArray[np.float32], used_in: NDArray[np.float32]) -> float:
-    """The mean squared error of a target and what is drawn, (2, H, W, 3), after gains and offsets of other ones."""
+def _mse_after(found_in: NDArray[np.float32], used_in: NDArray[np.float32]) -> float:
+    """Mean squared error of a target and what is drawn, (2, H, W, 3), after gains and offsets of other ones."""
     errors, channels = [], (np.moveaxis(p, 3, 0).reshape(3, 2, -1) for p in (found_in, used_in))
     for (a, b), (target, drawn) in zip(*channels, strict=True):
         known = [np.stack([shown, np.ones_like(shown)], axis=1).astype(np.float64) for shown in (b, drawn)]
@@ -283,20 +273,20 @@ def _left(found_in: NDArray[np.float32], used_in: NDArray[np.float32]) -> float:
 
 
 def better(before: Gaussians, after: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> Gaussians:
-    """Whichever of two shows more, `after` where they show the same; it is what `before` has moved to in a frame."""
+    """Return the one that shows more, `after` if equal, which is what `before` has moved to in a frame."""
     moving = InMotion(after, after.means - before.means)
     return before if mean_psnr(before, views, renderer) > mean_psnr(moving, views, renderer) else after
 
 
 def mean_ssim(g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer = CPU) -> float:
-    """Mean over views of each view's SSIM, 1 for equal pictures."""
+    """Return the mean over views of each view's SSIM, 1 for equal pictures."""
     return float(np.mean(list(_compare(g, views, renderer, Picture.ssim))))
 
 
 def _compare(
     g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer, measure: Callable[[Picture, Picture], float]
 ) -> Iterator[float]:
-    """A figure of each view's picture as it was taken and as the Gaussians are drawn."""
+    """Compare each view's picture as it was taken with what is drawn."""
     loaded, numbered = loading(g, renderer), [(i, view.camera) for i, view in enumerate(views)]
 
     def shown(i: int, camera: Camera) -> Picture:

@@ -2,8 +2,8 @@
 
 Variables are every Gaussian on its own, where rows may come and go, or six MLPs that move all, one for each attribute
 (AirGS, "Training" 2). Every Gaussian has a difference D to base Gaussians, so that the temporal loss is a norm of the
-variable itself and vanishes exactly where pictures ask for nothing. A fit may begin with pictures of half the size:
-large motion is a small one there, and an iteration costs less.
+variable itself and exactly 0 where pictures ask for no change. A fit may begin with pictures of half the size: large
+motion is small in them, and an iteration costs less.
 
 N Gaussians, A of them active, U of them rows that stay, V views, F features, H x W pixels.
 """
@@ -28,10 +28,10 @@ from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.render.cuda import Picture as Drawn
 from airgs_codec.scene.camera import with_pixels
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.trainer.data.pictures import Target, View
+from airgs_codec.trainer.data.pictures import TargetPicture, View
 from airgs_codec.trainer.fit.grow import CHECKS, Densifier, is_visible
 from airgs_codec.trainer.fit.losses import (
-    ATTRIBUTES,
+    GAUSSIAN_FIELDS,
     LAMBDA,
     MOTION,
     Parameters,
@@ -55,18 +55,16 @@ class Adam:
         self, parameters: Mapping[str, torch.Tensor], rates: Mapping[str, float], epsilon: float = EPSILON
     ) -> None:
         """`parameters` are copied and made leaves; `rates` may be changed between steps through `self.rates`."""
-        self._epsilon = epsilon
+        self._epsilon, self.rates, self._steps = epsilon, dict(rates), 0
         self.parameters = {name: p.detach().clone().requires_grad_(True) for name, p in parameters.items()}
-        self.rates = dict(rates)
         self._first, self._second = zeros_like(parameters), zeros_like(parameters)  # moments
-        self._steps = 0
 
     @torch.no_grad()
     def step(self, shrink: Mapping[str, torch.Tensor] | None = None) -> None:
-        """One step along the gradients, which are cleared.
+        """Step along the gradients, and clear them.
 
         `shrink`: weights of an L1 norm of the parameters, in units of the loss, applied by its proximal map in Adam's
-        metric: what the pictures do not hold at another value ends at exactly 0.
+        metric: values that no picture asks for become exactly 0.
         """
         self._steps += 1
         bias = [1 - beta**self._steps for beta in BETAS]
@@ -84,7 +82,7 @@ class Adam:
             p.grad = None
 
     def replace_values(self, name: str, values: torch.Tensor) -> None:
-        """Give a parameter other values; its moments start at 0 again."""
+        """Replace the values of a parameter; its moments start at 0 again."""
         self.parameters[name] = values.detach().clone().requires_grad_(True)
         for moments in (self._first, self._second):
             moments[name] = torch.zeros_like(values)
@@ -111,11 +109,11 @@ class Rates:
 
     factor: float = 3.0
     means: float = 1.0  # a further factor, for means
-    last: float = 1.0  # share of the rate that is left at the end
+    last: float = 1.0  # share of the rate at the end
     means_last: float = 0.01  # the same for means
 
     def at(self, done: float, extent: float) -> dict[str, float]:
-        """Rates when a share `done` of the iterations is past, in a scene of `extent` world units."""
+        """Return the rates when a share `done` of the iterations is past, in a scene of `extent` world units."""
         rates = {name: rate * self.factor * self.last**done for name, rate in RATES.items()}
         rates["means"] = RATES["means"] * self.factor * self.means * self.means_last**done * extent
         rates[MOTION] = rates["means"]
@@ -139,19 +137,18 @@ class Resting:
     active: torch.Tensor  # (A,)
 
     def taken(self, p: Parameters) -> Parameters:
-        """The A rows that are fitted, of a value for each."""
         return {name: value[self.active] for name, value in p.items()}
 
     def joined(self, fitted: Parameters) -> Parameters:
-        """All rows, from the A that are fitted and what was added after them."""
+        """Return all rows, from the A that are fitted and those that were added after them."""
         count = len(self.active)
-        if len(fitted["means"]) == count:
-            return {name: value.index_copy(0, self.active, fitted[name]) for name, value in self.rows.items()}
         whole = {name: value.index_copy(0, self.active, fitted[name][:count]) for name, value in self.rows.items()}
+        if len(fitted["means"]) == count:
+            return whole
         return {name: torch.cat([value, fitted[name][count:]]) for name, value in whole.items()}
 
     def picked(self, values: torch.Tensor) -> torch.Tensor:
-        """The inverse of `joined`: of a value for each row, those of the rows that are fitted."""
+        """Return the values of the rows that are fitted, of a value for each row: the inverse of `joined`."""
         n = len(self.rows["means"])
         return torch.cat([values[:n][self.active], values[n:]])
 
@@ -163,14 +160,14 @@ class PerGaussian:
     base: Parameters
     extent: float  # world units
     rates: Rates = field(default_factory=Rates)
-    start: Parameters | None = None  # D to begin with; None: 0
+    start: Parameters | None = None  # initial D; None: 0
     temporal: Parameters | None = None  # weight of |D| of each element, `temporal_weights`; 0 in rows that are new
     until: float = 1.0  # share of the iterations in which it acts
     fixed: int = 0  # U
     regularisers: Regularisers = field(default_factory=Regularisers)
     densifier: Densifier | None = None  # None: no rows are added
     clears: Callable[[Gaussians], NDArray[np.bool_]] | None = None  # rows (N,) that hang in open space and go
-    resting: Resting | None = None  # rows that are in the pictures, too, and are not fitted; None: there are none
+    resting: Resting | None = None  # rows that are drawn but not fitted; None: all are fitted
     dropout: float = 0.0  # share of the rows that a picture is drawn without at the end of the fit
     seed: int = 0  # of the rows that are left out
     adam: Adam = field(init=False)
@@ -185,12 +182,12 @@ class PerGaussian:
         self.adam = Adam(self.start or zeros_like(self.base), self.rates.at(0.0, self.extent))
 
     def current(self, after: float = 0.0) -> Parameters:
-        """The Gaussians as they are now, base + D, differentiable by D, among those that rest.
+        """Return the Gaussians as they are now, base + D, differentiable by D, with those at rest.
 
-        So many frames `after` their time they have moved by as much of a MOTION, which is fitted too, or else of D.
+        `after`: frames by which they are moved on along MOTION, which is fitted too, or else along D.
 
-        Some are hidden where there is `dropout`: what others hide in a training view is fitted as well, and a view
-        between them shows no gap (DropGaussian, Park et al. 2025). Their share rises as the fit goes on.
+        With `dropout` a growing share of rows is hidden: what others hide in a training view is fitted as well, and a
+        view between them shows no gap (DropGaussian, Park et al. 2025).
         """
         fitted = self._fitted()
         if after and MOTION in fitted:
@@ -208,33 +205,25 @@ class PerGaussian:
             return self.current()
 
     def watch(self) -> AbsGrad | None:
-        """Where the absolute gradients of the next picture are wanted; None: rows are not added."""
+        """Return what collects the absolute gradients of the next picture; None: rows are not added."""
         self._absgrad = AbsGrad() if self.densifier else None
         return self._absgrad
 
     def penalty(self) -> torch.Tensor | float:
-        """The regularisers.
-
-        L_inf = max(0, N - U) (AirGS, "Training" 3) has no gradient; what can act is the opacity of what was added.
-        """
+        """Return the regularisers; in place of L_inf = max(0, N - U), which has no gradient, acts the added opacity."""
         r = self.regularisers
         total: torch.Tensor | float = 0.0
-        if r.opacity or r.inflation:
-            opacity = (self.base["opacity_logits"] + self.adam.parameters["opacity_logits"]).sigmoid()
-            if r.opacity:
-                total = total + r.opacity * opacity.mean()
-            if r.inflation and len(opacity) > self.fixed:
-                total = total + r.inflation * opacity[self.fixed :].sum()
+        fitted = self._fitted() if r != Regularisers() else {}
+        if r.opacity:
+            total = total + r.opacity * fitted["opacity_logits"].sigmoid().mean()
+        if r.inflation and len(self.base["means"]) > self.fixed:
+            total = total + r.inflation * fitted["opacity_logits"][self.fixed :].sigmoid().sum()
         if r.scale:
-            size = (self.base["log_scales"] + self.adam.parameters["log_scales"]).exp()
-            total = total + r.scale / self.extent * size.mean()
+            total = total + r.scale / self.extent * fitted["log_scales"].exp().mean()
         return total
 
     def step(self, iteration: int, iterations: int) -> None:
-        """Move along the gradients; then add rows where it is time to, and remove those that show nothing.
-
-        Raises TrainingError where no row is left.
-        """
+        """Move along the gradients, then add and remove rows where due. Raises TrainingError where no row is left."""
         if self.densifier and self._absgrad:
             self.densifier.collect(self._absgrad, self.resting.picked if self.resting else None)
         self._done = iteration / iterations
@@ -244,7 +233,7 @@ class PerGaussian:
 
     @torch.no_grad()
     def remove_fainter(self, opacity: float) -> None:
-        """Remove rows past the first U whose opacity is under `opacity`. Raises TrainingError where none is left."""
+        """Remove rows after the first U of less than an opacity. Raises TrainingError where none is left."""
         self._replace(is_visible(self._fitted(), self.fixed, opacity))
 
     @torch.no_grad()
@@ -268,8 +257,8 @@ class PerGaussian:
     def _move(self) -> None:
         """Adam, the temporal loss, and no Gaussian larger than the scene.
 
-        The temporal loss pulls back what does move, too. When it has had its say (`until`), what is still 0 stays so,
-        and the rest is fitted without it (the relaxed lasso, Meinshausen 2007). New rows have no temporal loss.
+        The temporal loss pulls back what does move, too. After a share `until`, what is still 0 stays so, and the other
+        values are fitted without it (the relaxed lasso, Meinshausen 2007). New rows have no temporal loss.
         """
         self.adam.rates = self.rates.at(self._done, self.extent)
         difference = self.adam.parameters
@@ -294,15 +283,12 @@ class PerGaussian:
         zeros = None if added is None else zeros_like(added)
         self.adam.replace_rows(keep, zeros)
         self.base = take_and_append(self.base, keep, added)
-        if self.temporal is not None:
-            self.temporal = take_and_append(self.temporal, keep, zeros)
-        if self._support is not None:
-            self._support = take_and_append(self._support, keep, None)
+        self.temporal = self.temporal and take_and_append(self.temporal, keep, zeros)
+        self._support = self._support and take_and_append(self._support, keep, None)
 
 
-OCTAVES = 5  # of the positional encoding (NeRF, Mildenhall et al. 2020, equation 4)
-WIDTH = 64  # of a hidden layer
-RATE, RATE_LAST = 1e-2, 0.1  # learning rate, and the share of it that is left at the end
+HIDDEN_WIDTH = 64
+MLP_RATES = 1e-2, 0.1  # learning rate, and the share of it at the end
 # An output of 1 means this change, about the size of one in a frame; means in units of the scene's extent.
 SCALES = {
     "means": 0.006, "quaternions": 0.05, "log_scales": 0.05, "opacity_logits": 0.2, "sh_dc": 0.05, "sh_rest": 0.02,
@@ -310,34 +296,31 @@ SCALES = {
 
 
 class Networks(torch.nn.Module):
-    """An MLP for each attribute that has channels, side by side; output layers start at zero, so that nothing moves."""
+    """An MLP for each attribute that has channels; output layers start at zero, so that nothing moves."""
 
     centre: torch.Tensor
     spread: torch.Tensor
 
     def __init__(self, like: Parameters, extent: float, seed: int) -> None:
-        """Networks for Gaussians like these, whose statistics standardise the input.
+        """Draw weights by a seed for Gaussians like these, whose statistics standardise the input.
 
-        `extent`: of the scene in world units. `seed`: of the first weights.
+        `extent`: of the scene in world units.
         """
         super().__init__()
-        self.names = [name for name in ATTRIBUTES if like[name][0].numel()]
-        self.extent = extent
-        features = self._encode(like)
-        inputs, count = features.shape[1], len(self.names)
-        draw = torch.Generator().manual_seed(seed)
+        self.names, self.extent = [name for name in GAUSSIAN_FIELDS if like[name][0].numel()], extent
+        features, count, draw = self._encode(like), len(self.names), torch.Generator().manual_seed(seed)
 
         def layer(rows: int) -> torch.nn.Parameter:
-            return torch.nn.Parameter(torch.randn(count, rows, WIDTH, generator=draw) * math.sqrt(2 / rows))
+            return torch.nn.Parameter(torch.randn(count, rows, HIDDEN_WIDTH, generator=draw) * math.sqrt(2 / rows))
+
+        def zeros(*shape: int) -> torch.nn.Parameter:
+            return torch.nn.Parameter(torch.zeros(*shape))
 
         self.register_buffer("centre", features.mean(dim=0))
         self.register_buffer("spread", features.std(dim=0) + 1e-4)  # a constant feature: 0, not 0 / 0
-        self.first, self.second = layer(inputs), layer(WIDTH)
-        self.first_bias = torch.nn.Parameter(torch.zeros(count, 1, WIDTH))
-        self.second_bias = torch.nn.Parameter(torch.zeros(count, 1, WIDTH))
-        self.last = torch.nn.ParameterList(
-            [torch.nn.Parameter(torch.zeros(WIDTH, like[name][0].numel())) for name in self.names]
-        )
+        self.first, self.second = layer(features.shape[1]), layer(HIDDEN_WIDTH)
+        self.first_bias, self.second_bias = zeros(count, 1, HIDDEN_WIDTH), zeros(count, 1, HIDDEN_WIDTH)
+        self.last = torch.nn.ParameterList([zeros(HIDDEN_WIDTH, like[name][0].numel()) for name in self.names])
 
     def features(self, p: Mapping[str, torch.Tensor]) -> torch.Tensor:
         return (self._encode(p) - self.centre) / self.spread
@@ -349,13 +332,13 @@ class Networks(torch.nn.Module):
         return {n: (hidden[i] @ self.last[i]) * scales[n] for i, n in enumerate(self.names)}
 
     def _encode(self, p: Mapping[str, torch.Tensor]) -> torch.Tensor:
-        x = p["means"] / self.extent
-        waves = [wave(x * 2**k * math.pi) for k in range(OCTAVES) for wave in (torch.sin, torch.cos)]
-        rest = [p[name].reshape(len(x), -1) for name in self.names if name != "means"]
-        return torch.cat([x, *waves, *rest], dim=1)
+        x = p["means"] / self.extent  # five octaves of the positional encoding (NeRF, Mildenhall et al. 2020, eq. 4)
+        waves = [wave(x * 2**k * math.pi) for k in range(5) for wave in (torch.sin, torch.cos)]
+        others = [p[name].reshape(len(x), -1) for name in self.names if name != "means"]
+        return torch.cat([x, *waves, *others], dim=1)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Copies of all numbers by name, for a file."""
+        """Return copies of all numbers by name, for a file."""
         return {name: value.cpu().numpy().copy() for name, value in self.state_dict().items()}
 
     def load(self, arrays: Mapping[str, np.ndarray]) -> None:
@@ -376,10 +359,10 @@ class MlpDriven:
 
     def __post_init__(self) -> None:
         self._features = self.networks.features(self.base)
-        self._adam = torch.optim.Adam(self.networks.parameters(), lr=RATE, betas=BETAS)
+        self._adam = torch.optim.Adam(self.networks.parameters(), lr=MLP_RATES[0], betas=BETAS)
 
     def current(self, after: float = 0.0) -> Parameters:
-        """The Gaussians moved by the networks, extrapolated linearly to so many frames `after` their time."""
+        """Return the Gaussians moved by the networks, extrapolated linearly by `after` frames."""
         self._changes = {n: d.reshape(self.base[n].shape) for n, d in self.networks(self._features).items()}
         return {n: p + (1 + after) * self._changes[n] if n in self._changes else p for n, p in self.base.items()}
 
@@ -388,56 +371,46 @@ class MlpDriven:
             return self.current()
 
     def watch(self) -> AbsGrad | None:
-        """None: rows are not added."""
-        return None
+        return None  # rows are not added
 
     def penalty(self) -> torch.Tensor | float:
-        """L_temp of the changes that `current` gave last."""
+        """Return L_temp of the changes that `current` gave last."""
         return sum((self.temporal[name] * d.abs()).sum() for name, d in self._changes.items())
 
     def step(self, iteration: int, iterations: int) -> None:
         for group in self._adam.param_groups:
-            group["lr"] = RATE * RATE_LAST ** (iteration / iterations)
+            group["lr"] = MLP_RATES[0] * MLP_RATES[1] ** (iteration / iterations)
         self._adam.step()
         self._adam.zero_grad(set_to_none=True)
 
 
-EXPOSURE_RATE = 2e-3  # learning rate
-ALIKE = (
-    0.015  # root mean square of gains off 1, below which cameras are exposed alike; the drawn fox has 0.003, two real
-)
-# rigs have 0.028 and 0.053
-BEYOND = 2.0  # times their error, from which gains are no chance
+SAME_EXPOSURE = 0.015  # root mean square of gains off 1, up to which; the drawn fox has 0.003, two rigs 0.028 and 0.053
 
 
 class ExposureModel:
-    """Gains and offsets of V cameras, fitted beside the Gaussians.
+    """Gains and offsets of V cameras, fitted with the Gaussians.
 
-    Until it is known whether cameras differ, the halves of pictures have their own: how far these are apart is an
-    error that gains have to exceed.
+    Until it is decided whether cameras differ, the halves of pictures have their own: their difference is an error that
+    gains have to exceed.
     """
 
-    def __init__(
-        self, views: int, device: str, reference: int | None = None, looks: int | None = None, again: Sequence[int] = ()
-    ) -> None:
-        """The identity for every camera. `reference`: the view whose camera keeps it; None: the average camera does.
+    def __init__(self, views: int, device: str, reference: int | None = None, looks: int | None = None) -> None:
+        """Begin with the identity for every camera.
 
-        `again`: of each view behind these, the one that has its camera.
-        `looks`: steps after which cameras that are alike keep the identity for good; None: whatever is found stays.
+        `reference`: the view whose camera retains it; None: the average camera does. `looks`: steps after which cameras
+        of one exposure have the identity for good; None: whatever is found stays.
         """
-        self.differs = True
-        self._reference, self._looks, self._of = reference, looks, [*range(views), *again]
+        self.differs, self._steps, self._reference, self._looks = True, 0, reference, looks
         self._logs = torch.zeros(views, 2, 3, device=device, requires_grad=True)  # left and right
         self._offsets = torch.zeros(views, 2, 3, device=device, requires_grad=True)
-        self._steps = 0
-        self._adam = torch.optim.Adam([self._logs, self._offsets], lr=EXPOSURE_RATE, betas=BETAS)
+        self._adam = torch.optim.Adam([self._logs, self._offsets], lr=2e-3, betas=BETAS)
 
     def apply(self, rgb: torch.Tensor, view: int) -> torch.Tensor:
-        """The rendered picture (H, W, 3) as the camera of that view would have exposed it."""
+        """Return the rendered picture (H, W, 3) as the camera of that view would have exposed it."""
         if not self.differs:
             return rgb
         side = torch.arange(rgb.shape[1], device=rgb.device) * 2 // rgb.shape[1]
-        logs, offsets = (t[self._of[view]][side] for t in self._centred())
+        logs, offsets = (t[view][side] for t in self._centred())
         return rgb * logs.exp() + offsets
 
     def step(self) -> None:
@@ -448,17 +421,17 @@ class ExposureModel:
         if self._steps + 1 == self._looks:
             left, right = self._centred()[0].detach().unbind(1)
             found, error = ((t / 2).square().mean().sqrt().item() for t in (left + right, left - right))
-            self.differs = found > max(ALIKE, BEYOND * error)
+            self.differs = found > max(SAME_EXPOSURE, 2 * error)
         self._steps += 1
 
     def table(self, names: Sequence[str]) -> dict[str, list[float]]:
-        """Gains r, g, b and offsets r, g, b by the names of the cameras, rounded to 5 digits."""
+        """Return gains r, g, b and offsets r, g, b by the names of the cameras, rounded to 5 digits."""
         logs, offsets = (t.detach().mean(dim=1).cpu().numpy() for t in self._centred())
         rows = np.concatenate([np.exp(logs), offsets], axis=1)
         return {name: [round(float(v), 5) for v in row] for name, row in zip(names, rows, strict=True)}
 
     def _centred(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Logarithms of gains, and offsets, (V, 2, 3), alike in both halves once that is all there is to know."""
+        """Logarithms of gains, and offsets, (V, 2, 3), equal in both halves after `looks` steps."""
         own = slice(None) if self._reference is None else slice(self._reference, self._reference + 1)
         logs, offsets = (t - t[own].mean(dim=0, keepdim=True) for t in (self._logs, self._offsets))
         if self._looks is not None and self._steps < self._looks:
@@ -466,15 +439,15 @@ class ExposureModel:
         return logs.mean(dim=1, keepdim=True).expand_as(logs), offsets.mean(dim=1, keepdim=True).expand_as(offsets)
 
 
-LOOK_EVERY = 50  # iterations on CUDA until it is seen whether losses are finite; rows are added no more often
+LOOK_EVERY = 50  # iterations on CUDA until losses are checked; rows are added no more often
 
 
 class Variables(Protocol):
-    """What is fitted: gives Gaussians so many frames after their time, and moves along their gradients."""
+    """What is fitted: Gaussians, `after` frames past their time, that move along their gradients."""
 
     def current(self, after: float = 0.0) -> Parameters: ...
 
-    def watch(self) -> AbsGrad | None: ...  # where absolute gradients of the next picture are wanted; None: nowhere
+    def watch(self) -> AbsGrad | None: ...  # what collects absolute gradients of the next picture; None: nothing
 
     def penalty(self) -> torch.Tensor | float: ...  # added to the loss of the picture
 
@@ -500,16 +473,14 @@ def shuffled(views: int, rng: np.random.Generator) -> Iterator[int]:
         yield from reversed(rng.permutation(views).tolist())
 
 
-class Losses:
-    """Checks losses for NaN and Inf; on a GPU only now and then, since looking means to wait for it."""
+class LossCheck:
+    """Checks losses for NaN and Inf every few iterations: on a GPU a check has to wait for it."""
 
     def __init__(self, every: int) -> None:
-        """`every`: iterations between two looks."""
-        self._every = every
-        self._pending: list[tuple[int, str, torch.Tensor]] = []
+        self._every, self._pending = every, list[tuple[int, str, torch.Tensor]]()
 
     def add(self, iteration: int, views: Sequence[View], loss: torch.Tensor, last: bool) -> None:
-        """The loss of an iteration. Raises TrainingError, at the latest at the `last` one, naming the first fault."""
+        """Take the loss of an iteration. Raises TrainingError, at the latest at the `last` one, for the first fault."""
         names = ", ".join(view.camera.name for view in views)
         self._pending.append((iteration, names, loss.detach()))
         if iteration % self._every and not last:
@@ -534,16 +505,13 @@ def optimise(
     `exposure`: gains and offsets of the views' cameras, which are fitted too. Raises TrainingError when the loss is not
     finite, on CUDA up to LOOK_EVERY iterations later.
     """
-    order = shuffled(len(views), rng)
-    losses: Losses | None = None
+    order, losses = shuffled(len(views), rng), None
     count, iterations = min(schedule.views, len(views)), schedule.iterations
     halved = round(schedule.coarse * iterations) if can_be_halved(views) else 0
-    whole, views = views, [halve(view) for view in views] if halved else views
+    coarse = [halve(view) for view in views] if halved else []
     for iteration in range(1, iterations + 1):
-        if iteration > halved:
-            views = whole
         chosen = list(islice(order, count))
-        seen = [views[i] for i in chosen]
+        seen = [views[i] if iteration > halved else coarse[i] for i in chosen]
         if schedule.random_background:
             seen = [view.before(tuple(rng.uniform(size=3).tolist())) for view in seen]
         sh_degree = schedule.sh_degree(iteration / iterations)
@@ -552,7 +520,7 @@ def optimise(
             shown = exposure.apply(rgb, index) if exposure else rgb
             parts.append(photometric(shown, view.target, schedule.ssim_weight))
         loss = (parts[0] if count == 1 else torch.stack(parts).mean()) + variables.penalty()
-        losses = losses or Losses(LOOK_EVERY if loss.is_cuda else 1)
+        losses = losses or LossCheck(LOOK_EVERY if loss.is_cuda else 1)
         losses.add(iteration, seen, loss, iteration == iterations)
         loss.backward()
         variables.step(iteration, iterations)
@@ -562,7 +530,7 @@ def optimise(
 
 
 def drawn(variables: Variables, views: Sequence[View], sh_degree: int) -> list[Drawn]:
-    """What views show of the Gaussians when each was taken, with SH up to `sh_degree`."""
+    """Draw the Gaussians in views, each when it was taken, with SH up to `sh_degree`."""
     watched, times = variables.watch(), {view.after for view in views}
     if len(times) == 1:
         cameras, redraws = zip(*((view.camera, view.redraw) for view in views), strict=True)
@@ -576,33 +544,30 @@ def drawn(variables: Variables, views: Sequence[View], sh_degree: int) -> list[D
     ]
 
 
-LEAST = 160  # pixels on the shorter side of a picture that is halved: smaller ones lose what moves in them
-
-
 def can_be_halved(views: Sequence[View]) -> bool:
-    return all(min(view.camera.width, view.camera.height) >= LEAST for view in views)
+    return all(min(view.camera.width, view.camera.height) >= 160 for view in views)  # smaller ones lose what moves
 
 
 def halve(view: View) -> View:
-    """The view at half its size, or half a pixel more. A tile is drawn again where one of the four in it would be."""
+    """Return the view at half its size, rounded up. A tile is drawn again where one of the four in it would be."""
     size = -(-view.camera.width // 2), -(-view.camera.height // 2)
 
-    def target() -> Target:
+    def target() -> TargetPicture:
         whole = view.target
-        return Target(resize(whole.rgb, *size), None if whole.clear is None else resize(whole.clear, *size))
+        return TargetPicture(resize(whole.rgb, *size), None if whole.clear is None else resize(whole.clear, *size))
 
     def rest() -> Render:
         assert view.redraw is not None
         whole = view.redraw.rest()
         return Render(resize(whole.rgb, *size), resize(whole.transmittance, *size))
 
-    redraw = view.redraw and replace(view.redraw, tiles=_any_of_four(view.redraw.tiles, size), rest=rest)
+    shape = -(-size[1] // TILE), -(-size[0] // TILE)
+    redraw = view.redraw and replace(view.redraw, tiles=any_in_blocks(view.redraw.tiles, 2, shape), rest=rest)
     return View(with_pixels(view.camera, *size), target, redraw, view.after)
 
 
-def _any_of_four(tiles: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.bool_]:
-    """(down, across) of pictures of a size, from (down', across') of pictures twice as large."""
-    across, down = (-(-pixels // TILE) for pixels in size)
-    padded = np.zeros((2 * down, 2 * across), np.bool_)
-    padded[: tiles.shape[0], : tiles.shape[1]] = tiles
-    return np.asarray(padded.reshape(down, 2, across, 2).any(axis=(1, 3)))
+def any_in_blocks(mask: NDArray[np.bool_], side: int, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return (down, across) whether a block of side x side elements has one of the mask."""
+    padded = np.zeros((shape[0] * side, shape[1] * side), np.bool_)
+    padded[: mask.shape[0], : mask.shape[1]] = mask
+    return np.asarray(padded.reshape(shape[0], side, shape[1], side).any(axis=(1, 3)))

@@ -1,7 +1,7 @@
 """The fits of a run: of its first frame, of a frame in a group, and of a keyframe (AirGS, "Training" 1 to 3).
 
-A fit may change only what moves. A row is active when a good part of what it gives to all pictures falls on pixels that
-do not rest; the other rows are no variables at all and stay as they are, bit for bit.
+A fit may change only what moves. A row is active when a good part of its contribution to all pictures falls on pixels
+that are not at rest; the other rows are no variables at all and stay as they are, bit for bit.
 
 N Gaussians, A of them active, U of them those of the frame before, P points, H x W pixels.
 """
@@ -34,7 +34,7 @@ from airgs_codec.trainer.fit.grow import (
     residual_seeds,
 )
 from airgs_codec.trainer.fit.losses import (
-    ATTRIBUTES,
+    GAUSSIAN_FIELDS,
     InMotion,
     Parameters,
     better,
@@ -57,40 +57,34 @@ from airgs_codec.trainer.fit.optimise import (
     Regularisers,
     Resting,
     Schedule,
+    any_in_blocks,
     optimise,
 )
 from airgs_codec.trainer.fit.points import from_points, initial_points, scene_extent, sparse_cloud
 from airgs_codec.trainer.settings import BUDGET, LEAST_BUDGET, MOST_BUDGET, RANDOM, TrainSettings
 
-START_OPACITY = 0.1  # of the points that a first frame starts from
-RANDOM_SHARE = 0.3  # of the budget: points to begin with; random ones fill up
 # Empty space stays empty. Against no weights +0.3 dB in held-out views of a first frame of the fox; a weight of 0.1 in
 # place of 0.03 on scales gave basketball 0.2 dB in two splits of its cameras (0.5 with their exposure matched).
 FIRST_REGULARISERS = Regularisers(opacity=0.003, scale=0.1)
-# Few cameras that are far apart leave much of a scene free: what is known of its surfaces is opaque, and stays there.
-SPARSE_OPACITY = 0.6
-SPARSE_RATES = Rates(means=0.1)
+# Few cameras that are far apart leave much of a scene free: the points on its surfaces start opaque, and move little.
 DROPOUT = 0.2
-UNSEEN_OPACITY = 0.95
 # More gave basketball, of 640 x 360 pixels, 0.8 dB in held-out views, and the fox, of 320 x 320, 0.2 to 0.4 for twice
 # as many; in a sparse rig they showed less.
 GAUSSIAN_PIXELS = 14  # of a picture, for each Gaussian
-SH_SHARE = 0.25  # of the iterations until each further SH band joins
 HIDDEN_OPACITY = 0.02  # fainter rows are removed at the end of a fit within the budget; of a keyframe only added ones
 MOVING_RATES = Rates(factor=10.0, means=0.5, last=0.1, means_last=0.1)  # of frames that start from the one before
 KEYFRAME_RATES = Rates(factor=8.0, last=0.05, means_last=0.05)  # what has appeared has far to go
 UNFORESEEN = 1.5  # times as many iterations for a frame to which its velocity does not lead
-MLP_SHARE = 0.5  # of the iterations of mlp+residual
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Group:
+class FitGroup:
     """The measures and networks that the frames of a group share."""
 
     first_psnr: float  # dB, mean over training views of its first frame
     steps: Parameters  # codec steps at its first frame
-    networks: Networks | None  # they learn on from frame to frame; None: frames move without
-    second_psnr: float | None = None  # dB, of the frame behind it, where that is known
+    networks: Networks | None  # trained on from frame to frame; None: frames move without
+    second_psnr: float | None = None  # dB, of its second frame, where that is known
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +99,13 @@ class Trainer:
     def device(self) -> str:
         return self.renderer.device
 
-    def fit_frame(self, target: FrameViews, before: InMotion, group: Group, progress: Progress = silent) -> Gaussians:
-        """The Gaussians of the frame before, moved (AirGS, "Training" 2). Networks of the group learn on.
+    def fit_frame(
+        self, target: FrameViews, before: InMotion, group: FitGroup, progress: Progress = silent
+    ) -> Gaussians:
+        """Move the Gaussians of the frame before (AirGS, "Training" 2), and train the networks of the group.
 
-        Where the frame before shows more as it was, it stays: steps that are made for motion lead away from pictures
-        that are right to less than a grey level. Raises TrainingError where the loss is not finite.
+        Where the frame before shows more as it was, it stays: steps of the size of motion lead away from pictures that
+        are right to less than a grey level. Raises TrainingError where the loss is not finite.
         """
         s, base = self.settings, from_gaussians(before.gaussians, self.device)
         views, resting = self._scope(before, target, base)
@@ -123,12 +119,12 @@ class Trainer:
             else:
                 iterations = round(UNFORESEEN * iterations)
         else:
-            by_mlp = iterations if s.deltas == "mlp" else round(MLP_SHARE * iterations)
+            by_mlp = iterations if s.deltas == "mlp" else round(0.5 * iterations)
             iterations -= by_mlp
             driven = MlpDriven(base, group.networks, temporal)
             optimise(driven, target.views, self.schedule("MLPs", by_mlp), self.rng(target.frame, 1), progress=progress)
             moved = driven.detached()
-            start = {name: moved[name] - base[name] for name in ATTRIBUTES}
+            start = {name: moved[name] - base[name] for name in GAUSSIAN_FIELDS}
         base, start, temporal = (resting.taken(p) if resting else p for p in (base, start, temporal))
         fitted = PerGaussian(base, self.extent, MOVING_RATES, start, temporal, s.temporal.until, resting=resting)
         schedule = replace(self.schedule("motion", iterations), coarse=s.coarse)
@@ -139,7 +135,7 @@ class Trainer:
     def fit_keyframe(
         self, target: FrameViews, before: InMotion, steps: Parameters, progress: Progress = silent
     ) -> InMotion:
-        """The Gaussians of the frame before, moved, and new ones (AirGS, "Training" 3). The first U rows stay.
+        """Move the Gaussians of the frame before, and add new ones after its U rows (AirGS, "Training" 3).
 
         `steps`: codec steps of the frame before. Raises TrainingError where the loss is not finite.
         """
@@ -157,23 +153,15 @@ class Trainer:
         fixed = len(base["means"])
         if seeds is not None:
             new = with_motion(from_gaussians(seeds, self.device), target.views)
-            zeros = zeros_like(new)  # seeds begin where they are, and no temporal loss holds them
-            base, start, temporal = _joined(base, new), _joined(start, zeros), _joined(temporal, zeros)
-        return self.fit_growing(
-            base,
-            (target.views, views),
-            most - rows + fixed,
-            self.schedule("keyframe", s.keyframe_iterations),
-            rng,
-            progress=progress,
-            rates=KEYFRAME_RATES,
-            start=start,
-            temporal=temporal,
-            until=s.temporal.until,
-            fixed=fixed,
-            regularisers=Regularisers(inflation=s.inflation),
-            resting=resting,
-        )
+            zeros = zeros_like(new)  # seeds start without a difference, and without a temporal loss
+            base, start, temporal = (
+                {name: torch.cat([value, added[name]]) for name, value in p.items()}
+                for p, added in ((base, new), (start, zeros), (temporal, zeros))
+            )
+        more: dict[str, Any] = {"start": start, "temporal": temporal, "until": s.temporal.until, "fixed": fixed}
+        more |= {"resting": resting, "rates": KEYFRAME_RATES, "regularisers": Regularisers(inflation=s.inflation)}
+        schedule, most = self.schedule("keyframe", s.keyframe_iterations), most - rows + fixed
+        return self.fit_growing(base, (target.views, views), most, schedule, rng, progress=progress, **more)
 
     def fit_growing(
         self,
@@ -186,9 +174,9 @@ class Trainer:
         progress: Progress = silent,
         **more: Any,
     ) -> InMotion:
-        """Fit rows to the second ones of the `views` while others are added, up to `most`; what is hidden goes.
+        """Fit rows to the second ones of the `views`, add others up to `most`, and remove what is hidden.
 
-        Within a budget rows that hang in open space before the first ones go, too. `more`: as `PerGaussian` has it.
+        Within a budget rows that hang in open space before the first ones are removed, too. `more`: of `PerGaussian`.
         """
         every, shown = views
         within, cameras = self.settings.densify == BUDGET, [view.camera for view in every]
@@ -200,11 +188,11 @@ class Trainer:
         variables.remove_fainter(HIDDEN_OPACITY if within else LOW_OPACITY)
         return replace(to_moving(variables.detached()), cleared=variables.cleared)
 
-    def start_group(self, g: Gaussians, views: Sequence[View]) -> Group:
+    def start_group(self, g: Gaussians, views: Sequence[View]) -> FitGroup:
         networks = None
         if self.settings.deltas != "direct":
             networks = Networks(from_gaussians(g, self.device), self.extent, self.settings.seed).to(self.device)
-        return Group(mean_psnr(g, views, self.renderer), self.steps(g, views), networks)
+        return FitGroup(mean_psnr(g, views, self.renderer), self.steps(g, views), networks)
 
     def steps(self, g: Gaussians, views: Sequence[View]) -> Parameters:
         steps = codec_steps(g, [v.camera for v in views], renderer=self.renderer)
@@ -215,24 +203,24 @@ class Trainer:
         return self.settings.capacity or max(MOST_BUDGET, self.settings.budget or 1)
 
     def rng(self, frame: int, stage: int) -> np.random.Generator:
-        """Its own random numbers for every stage of every frame, so that a run can go on anywhere."""
+        """Return random numbers that depend on the stage and the frame alone, so that a run can be resumed."""
         return np.random.default_rng([self.settings.seed, frame, stage])
 
     def _seeds(self, target: FrameViews, before: InMotion, most: int, rng: np.random.Generator) -> Gaussians | None:
         wrong = find_wrong(before, target.views, self.renderer)
-        if target.moving is not None:  # what rests is not drawn: nothing could be fitted there
+        if target.moving is not None:  # what is at rest is not drawn: nothing could be fitted there
             wrong = Masks(a & b for a, b in zip(wrong, target.moving, strict=True))
         return residual_seeds(before.gaussians, target.views, wrong, most, 0.1 * self.extent, rng)
 
     def _scope(self, before: InMotion, target: FrameViews, base: Parameters) -> tuple[Sequence[View], Resting | None]:
-        """The views that a fit is made to, and the rows that it leaves as they are; None: it may change all."""
+        """The views that a fit is made to, and the rows at rest; None: it may change all."""
         if target.moving is None:
             return target.views, None
-        active = find_active(before, target.views, target.moving, self.renderer)
-        return active.views, Resting(base, torch.from_numpy(active.rows).to(self.device))
+        rows, views = find_active(before, target.views, target.moving, self.renderer)
+        return views, Resting(base, torch.from_numpy(rows).to(self.device))
 
     def _is_foreseen(self, before: InMotion, views: Sequence[View]) -> bool:
-        """Whether Gaussians that move on as they did are nearer to the pictures than where they were: motions turn."""
+        """Whether Gaussians that move on as they did show more than where they were: motions turn."""
         if before.velocity is None or not self.settings.velocity:
             return False
         on = InMotion(before.at(1.0), before.velocity)
@@ -253,10 +241,6 @@ def make_trainer(settings: TrainSettings, views: Sequence[View], points: Points 
     return Trainer(settings, scene_extent([view.camera for view in views], points), open_renderer(device))
 
 
-def _joined(a: Parameters, b: Parameters) -> Parameters:
-    return {name: torch.cat([value, b[name]]) for name, value in a.items()}
-
-
 def fit_first(
     trainer: Trainer,
     target: FrameViews,
@@ -264,73 +248,54 @@ def fit_first(
     exposure: ExposureModel | None = None,
     progress: Progress = silent,
 ) -> InMotion:
-    """3DGS from a cloud of points (AirGS, "Training" 1), within the budget where the settings keep to one.
+    """Fit 3DGS to a first frame from a cloud of points (AirGS, "Training" 1), within any budget of the settings.
 
-    `points`: the cloud; None to find one in the pictures. `exposure`: gains and offsets of the views' cameras,
-    which are fitted too. Raises SceneError where there is nothing to start from, TrainingError where the loss is
-    not finite or no Gaussian is left.
+    `points`: the cloud; None to find one in the pictures. `exposure`: gains and offsets of the views' cameras, which
+    are fitted too. Raises SceneError without points to start from, TrainingError where the loss is not finite or no
+    Gaussian remains.
     """
-    s = trainer.settings
-    rng = trainer.rng(target.frame, 0)
+    s, rng, views = trainer.settings, trainer.rng(target.frame, 0), target.views
     within = s.densify == BUDGET
-    sparse = sparse_cloud(points, target.views, s.budget or LEAST_BUDGET, rng) if within else None
-    few = s.budget or (LEAST_BUDGET if sparse else usual_budget([view.camera for view in target.views]))
-    fewest, most = (round(RANDOM_SHARE * few), few) if within else (0, trainer.capacity)
-    cloud = sparse.points if sparse else initial_points(points, target.views, fewest, rng)
+    sparse = sparse_cloud(points, views, s.budget or LEAST_BUDGET, rng) if within else None
+    few = s.budget or (LEAST_BUDGET if sparse else usual_budget([view.camera for view in views]))
+    fewest, most = (round(0.3 * few), few) if within else (0, trainer.capacity)
+    cloud, unseen = sparse or (initial_points(points, views, fewest, rng), None)
+    most -= len(unseen.positions) if unseen else 0
+    chosen, largest = np.sort(rng.permutation(len(cloud.positions))[:most]), 0.1 * trainer.extent
     assert cloud.colours is not None  # both give every point one
-    if sparse:
-        most -= len(sparse.unseen.positions)
-    chosen = np.sort(rng.permutation(len(cloud.positions))[:most])
-    opacity, largest = SPARSE_OPACITY if sparse else START_OPACITY, 0.1 * trainer.extent
-    start = from_points(cloud.positions[chosen], cloud.colours[chosen], s.sh_degree, opacity, largest)
-    schedule = trainer.schedule("first frame", s.iterations_from_scratch(len(target.views)))
-    found = trainer.fit_growing(
-        with_motion(from_gaussians(start, trainer.device), target.views),
-        (target.views, [*target.views, *target.later]),
-        most,
-        replace(schedule, sh_degree=lambda done: min(s.sh_degree, int(done / SH_SHARE))),
-        rng,
-        exposure,
-        progress,
-        rates=SPARSE_RATES if sparse else Rates(),
-        regularisers=FIRST_REGULARISERS if s.regularised else Regularisers(),
-        dropout=DROPOUT if sparse else 0.0,
-        seed=s.seed,
-    )
-    if not (sparse and len(sparse.unseen.positions)):
+    start = from_points(cloud.positions[chosen], cloud.colours[chosen], s.sh_degree, 0.6 if sparse else 0.1, largest)
+    base, more = with_motion(from_gaussians(start, trainer.device), views), dict[str, Any](seed=s.seed)
+    more |= {"rates": Rates(means=0.1), "dropout": DROPOUT} if sparse else {}
+    more |= {"regularisers": FIRST_REGULARISERS} if s.regularised else {}
+    schedule = trainer.schedule("first frame", s.iterations_from_scratch(len(views)))
+    schedule = replace(schedule, sh_degree=lambda done: min(s.sh_degree, int(4 * done)))
+    found = trainer.fit_growing(base, (views, views), most, schedule, rng, exposure, progress, **more)
+    if not (unseen and len(unseen.positions)):
         return found
-    places, colours = sparse.unseen.positions, sparse.unseen.colours
-    assert colours is not None
-    unseen = from_points(places, colours, s.sh_degree, UNSEEN_OPACITY, largest)
-    motion = None if found.velocity is None else np.pad(found.velocity, ((0, len(unseen)), (0, 0)))
-    return replace(found, gaussians=Gaussians.join([found.gaussians, unseen]), velocity=motion)
+    assert unseen.colours is not None
+    added = from_points(unseen.positions, unseen.colours, s.sh_degree, 0.95, largest)
+    motion = None if found.velocity is None else np.pad(found.velocity, ((0, len(added)), (0, 0)))
+    return replace(found, gaussians=Gaussians.join([found.gaussians, added]), velocity=motion)
 
 
 def usual_budget(cameras: Sequence[Camera]) -> int:
-    """Gaussians of a first frame that cameras see, where nobody says how many: as many as their pictures can tell."""
+    """Return the Gaussians of a first frame where nobody says how many, by the size of the pictures."""
     pixels = float(np.mean([camera.width * camera.height for camera in cameras]))
     return round(min(max(LEAST_BUDGET, pixels / GAUSSIAN_PIXELS), MOST_BUDGET))
 
 
-SHARE = 0.2  # of a row's blending weights over all views that fall on moving pixels, from which it is active
-REST_BYTES = 1 << 30  # of whole pictures, 16 bytes a pixel; those that are no longer buffered are drawn again
-SHOWN = 8.0  # pixels of active rows in a tile, from which it is drawn
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Active:
-    rows: NDArray[np.intp]  # (A,) ascending
-    views: list[View]  # those that show it, with the tiles that do
-
-
 def find_active(
     before: Gaussians | InMotion, views: Sequence[View], moving: Sequence[NDArray[np.bool_]], renderer: Renderer = CPU
-) -> Active:
-    """Find what may change, from the Gaussians of the frame before and what moves (H, W) in each view."""
+) -> tuple[NDArray[np.intp], list[View]]:
+    """Find what may change, from the Gaussians of the frame before and what moves (H, W) in each view.
+
+    Returns the rows (A,), ascending, and the views that show them, with the tiles that do. A row is active if a fifth
+    of its blending weights over all views falls on moving pixels, and a tile is drawn with 8 pixels of active rows.
+    """
     loaded, rows = loading(before, renderer), len(before.gaussians if isinstance(before, InMotion) else before)
-    rests: Recent[int, cpu.Render] = Recent(
+    renders: Recent[int, cpu.Render] = Recent(  # up to 1 GiB; others are drawn again
         lambda place: loaded(views[place].after).draw(views[place].camera),
-        REST_BYTES,
+        1 << 30,
         lambda picture: picture.rgb.nbytes + picture.transmittance.nbytes,
     )
     weights, on_moving, whole = [], np.zeros(rows), np.zeros(rows)
@@ -338,21 +303,13 @@ def find_active(
         w = loaded(view.after).weights(view.camera, mask)
         on_moving += np.bincount(w.ids, w.inside, rows)
         whole += np.bincount(w.ids, w.total, rows)
-        rests.put(place, w.picture)
+        renders.put(place, w.picture)
         weights.append((w.shape, w.tiles, w.ids, w.total))
-    active = on_moving > SHARE * np.maximum(whole, 1e-9)
+    active = on_moving > 0.2 * np.maximum(whole, 1e-9)
     drawn = []
     for place, (view, mask, (shape, of_pair, ids, total)) in enumerate(zip(views, moving, weights, strict=True)):
         shown = np.bincount(of_pair, total * active[ids], shape[0] * shape[1]).reshape(shape)
-        tiles = (shown >= SHOWN) | _any_in_tiles(mask, shape)
+        tiles = (shown >= 8) | any_in_blocks(mask, cpu.TILE, shape)
         if tiles.any():
-            drawn.append(replace(view, redraw=cpu.Redraw(tiles, partial(rests.get, place), active)))
-    return Active(np.flatnonzero(active), drawn)
-
-
-def _any_in_tiles(mask: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """(down, across) whether a tile has a pixel of the mask (H, W)."""
-    side = cpu.TILE
-    padded = np.zeros((shape[0] * side, shape[1] * side), np.bool_)
-    padded[: mask.shape[0], : mask.shape[1]] = mask
-    return np.asarray(padded.reshape(shape[0], side, shape[1], side).any(axis=(1, 3)))
+            drawn.append(replace(view, redraw=cpu.Redraw(tiles, partial(renders.get, place), active)))
+    return np.flatnonzero(active), drawn

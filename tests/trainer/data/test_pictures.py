@@ -21,10 +21,10 @@ from tests.support.views import coloured_cloud, ring
 
 def test_smaller_pictures_keep_their_rays_and_are_within_half_a_level(moving):
     scene = open_scene(moving)
-    small, full = Pictures(scene, max_size=24).cameras()[0], scene.cameras[0]
+    small, full = Pictures(scene, TrainSettings(max_size=24)).cameras()[0], scene.cameras[0]
     assert (small.width, small.height) == (24, 24)
     assert (small.cx / small.fx, small.width / small.fx) == pytest.approx((full.cx / full.fx, full.width / full.fx))
-    shown, whole = (Pictures(scene, max_size=size).train(0)[0].target.rgb for size in (24, None))
+    shown, whole = (Pictures(scene, TrainSettings(max_size=size)).train(0)[0].target.rgb for size in (24, None))
     assert shown.shape == (24, 24, 3) and 0 < np.abs(shown - faces.resize(whole, 24, 24)).max() <= 0.5 / 255 + 1e-6
 
 
@@ -78,7 +78,7 @@ def test_what_is_transparent_shows_the_background(tmp_path, background, left):
     picture = np.full((48, 48, 4), (0, 0, 255, 255), np.uint8)  # blue, green, red
     picture[:, :24, 3] = 0
     cv2.imwrite(str(tmp_path / "images" / "cam00" / "0000.png"), picture)
-    view = Pictures(open_scene(tmp_path), background=background).train(0)[0]
+    view = Pictures(open_scene(tmp_path), TrainSettings(background=background)).train(0)[0]
     for shown, behind, within in ((view, left, 2e-3), (view.before((0.2, 0.4, 0.6)), (0.2, 0.4, 0.6), 3e-3)):
         assert shown.camera.background == behind
         assert np.allclose(shown.target.rgb[:, :24], behind, atol=within)
@@ -89,11 +89,12 @@ def test_what_is_transparent_shows_the_background(tmp_path, background, left):
 
 def test_masks_leave_the_background_and_opaque_pictures_have_no_random_one(tmp_path):
     scene = open_scene(write_panoptic(tmp_path, ring(2)))
-    cut = Pictures(scene, foreground=True, background="white").train(0)[0].target.rgb
+    given = TrainSettings(foreground="given", background="white")
+    cut = Pictures(scene, given).train(0)[0].target.rgb
     assert cut[:, :24].min() == 1 and 0.7 < cut[:, 24:].min() < 0.9
-    Pictures(scene, foreground=True, background="random").train(0)[0].before((0, 1, 0))
+    Pictures(scene, replace(given, background="random")).train(0)[0].before((0, 1, 0))
     with pytest.raises(faces.SceneError, match="expected alpha for random backgrounds, got an opaque picture"):
-        Pictures(scene, background="random").check()
+        Pictures(scene, TrainSettings(background="random")).check()
 
 
 SIZE = 48

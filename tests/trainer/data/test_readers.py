@@ -164,7 +164,7 @@ def test_panoptic_brings_cameras_masks_and_points(tmp_path):
     assert all(same_camera(a, b) for a, b in zip(scene.cameras, ring(9), strict=True))
     assert [{c.near for c in s.cameras} for s in (scene, faces.with_near(scene, 2.0))] == [{0.8}, {2.0}]
     assert (scene.points.positions == table[:, :3]).all() and (scene.points.colours == table[:, 3:6]).all()
-    whole, cut = (Pictures(scene, foreground=f).train(0)[0].target.rgb for f in (False, True))
+    whole, cut = (Pictures(scene, faces.TrainSettings(foreground=f)).train(0)[0].target.rgb for f in ("off", "given"))
     assert whole[:, :24].min() > 0.7 and cut[:, :24].max() == 0 and cut[:, 24:].min() > 0.7
     meta = json.loads((tmp_path / "train_meta.json").read_text())
     (tmp_path / "test_meta.json").write_text(json.dumps(meta | {"cam_id": [[*range(11, 20)]] * 2}))
@@ -233,7 +233,7 @@ def test_n3dv_as_downloaded(tmp_path):
     assert [(c.name, c.held_out) for c in scene.cameras] == [(n[:5], n == "cam00.mp4") for n in names]
     rig = [faces.with_pixels(c, 48, 48) for c in ring(6, size=96)]
     assert all(same_camera(a, b) for a, b in zip(scene.cameras, rig, strict=True))
-    levels = [view.target.rgb.mean() * 255 for view in Pictures(scene, max_size=24).train(2)]
+    levels = [view.target.rgb.mean() * 255 for view in Pictures(scene, faces.TrainSettings(max_size=24)).train(2)]
     assert levels == pytest.approx([42 + 10 * i for i in range(1, 6)], abs=3)
 
 

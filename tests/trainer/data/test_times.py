@@ -14,7 +14,7 @@ from PIL import Image
 
 from airgs_codec.trainer.data import multiview, sync
 from tests import faces
-from tests.faces import Capture, MultiviewScene, Pictures, SceneError, Shot, TrainSettings, Work, open_scene, rested
+from tests.faces import Capture, MultiviewScene, Pictures, SceneError, Shot, TrainSettings, open_scene, rested
 from tests.support.multiview_files import plain, write_filmed
 from tests.support.views import ring
 
@@ -130,7 +130,7 @@ def test_pictures_stay_as_they_are_stored_whatever_their_exif_says(moving, suffi
 
 
 def names(scene):
-    contents = faces.read_contents(scene, Work())
+    contents = faces.read_contents(scene)
     seen = (multiview.with_frames(scene, [frame]) for frame in range(len(scene)))
     return [faces.content_digest(faces.content_of(frame, contents)) for frame in seen]
 
@@ -248,35 +248,19 @@ def files(folder):
     return MultiviewScene(folder, Fraction(30), frames)
 
 
-def test_a_fraction_of_a_frame_takes_the_nearest_picture_and_says_when_it_was_taken(tmp_path):
+def test_a_fraction_of_a_frame_takes_the_next_picture_and_says_when_it_was_taken(tmp_path):
     scene = files(tmp_path)
-    for offset, nearest, after in ((0.75, 2, 0.25), (0.25, 1, -0.25), (0.5, 1, -0.5), (-0.5, 0, -0.5), (-1.0, 0, 0.0)):
+    for offset, next_one, after in ((0.75, 2, 0.25), (0.25, 2, 0.75), (0.5, 2, 0.5), (-0.5, 1, 0.5), (-1.0, 0, 0.0)):
         matched = sync.in_step(scene, {"cam01": offset}, (0, 5))
         first = math.ceil(max(0.0, -offset))
         shot = matched.frames[1 - first][1]
-        assert (shot.source.path.name, shot.after) == (f"cam01-{nearest}.png", after)
-        assert shot.mask == tmp_path / f"mask-cam01-{nearest}.png" and matched.frames[0][0].after == 0.0
+        assert (shot.source.path.name, shot.after) == (f"cam01-{next_one}.png", after)
+        assert shot.mask == tmp_path / f"mask-cam01-{next_one}.png" and matched.frames[0][0].after == 0.0
         assert Pictures(matched).view(1 - first, 1).after == after
-    contents = faces.read_contents(scene, Work())
+    contents = faces.read_contents(scene)
     pair = (sync.in_step(scene, {"cam01": offset}) for offset in (0.75, 0.625))  # the same files, and masks
     one, other = (faces.content_of(matched, contents)[2][1] for matched in pair)
     assert one != other
-
-
-def test_a_first_frame_has_both_pictures_of_a_camera_that_was_early_and_no_keyframe_shows_what_was_before_it(tmp_path):
-    scene = files(tmp_path)
-    matched, plainly = sync.in_step(scene, {"cam01": 0.25}), Capture.of(scene, TrainSettings(), "cpu")
-    capture = rested(Capture.of(matched, TrainSettings(), "cpu"))
-    target = capture.pictures.first()
-    assert [view.after for view in target.views] == [0.0, -0.25]
-    assert [(view.camera.name, view.after) for view in target.later] == [("cam01", 0.75)]
-    assert abs(float(target.later[0].target.rgb.mean()) - 30 / 255) < 1e-3  # that of frame 1
-    for frame, seen in ((1, [("cam00", 0.0), ("cam01", 0.75)]), (len(matched) - 1, [("cam00", 0.0)])):
-        target = capture.pictures.key(capture.pictures.target(frame, frame - 1))
-        assert [(view.camera.name, view.after) for view in target.views] == seen
-        assert len(target.moving) == len(seen)
-    still = plainly.pictures.target(1, 0)
-    assert capture.pictures.key(still) is still and not plainly.pictures.first().later
 
 
 def test_offsets_that_cannot_be(tmp_path):

@@ -105,15 +105,15 @@ def moving():
 
 def test_rows_that_make_what_moves_are_active_in_tiles_that_hold_all_of_it_and_views_without_any_are_left_out(moving):
     g, views, masks = moving
-    rows = find_active(*moving).rows
+    rows, _ = find_active(*moving)
     assert np.isin(np.arange(20), rows).mean() > 0.9 and len(rows) < 100
     still, name = np.zeros_like(masks[0]), views[1].camera.name
-    [shown] = (v for v in find_active(g, views[:2], [still, masks[1]]).views if v.camera.name == name)
+    [shown] = (v for v in find_active(g, views[:2], [still, masks[1]])[1] if v.camera.name == name)
     pixels = np.repeat(np.repeat(shown.redraw.tiles, cpu.TILE, axis=0), cpu.TILE, axis=1)[:96, :96]
     assert pixels[masks[1]].all() and not shown.redraw.tiles.all()
     assert (shown.redraw.rest().rgb == cpu.render(g, views[1].camera).rgb).all()
-    nothing = find_active(g, views, [still] * len(views))
-    assert not len(nothing.rows) and not nothing.views
+    nothing, unseen = find_active(g, views, [still] * len(views))
+    assert not len(nothing) and not unseen
 
 
 def test_weights_are_those_of_the_contribution(moving):

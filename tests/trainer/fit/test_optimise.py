@@ -36,7 +36,7 @@ def test_views_are_all_seen_before_any_comes_again():
 
 
 def test_losses_that_are_not_finite_end_a_fit_and_name_the_first_fault_though_they_are_looked_at_seldom():
-    views, early, late = views_of(coloured_cloud(5), ring(2)), optimise.Losses(50), optimise.Losses(50)
+    views, early, late = views_of(coloured_cloud(5), ring(2)), optimise.LossCheck(50), optimise.LossCheck(50)
     for iteration in range(1, 50):
         early.add(iteration, views, torch.tensor(math.nan if iteration in (7, 30) else 1.0), last=False)
     with pytest.raises(TrainingError, match="iteration 7 in view cam00, cam01"):

@@ -124,7 +124,7 @@ def test_walls_are_found_where_cameras_see_them(views):
 
 
 def test_points_that_cover_a_part_stay_and_the_rest_is_found(views):
-    positions = fit_points.sparse_cloud(GIVEN, views, 4000, np.random.default_rng(0)).points.positions
+    positions = fit_points.sparse_cloud(GIVEN, views, 4000, np.random.default_rng(0))[0].positions
     assert len(positions) <= 4000
     assert set(map(tuple, GIVEN.positions.tolist())) <= set(map(tuple, positions.tolist()))
     assert (np.linalg.norm(positions, axis=1) > 0.6 * RADIUS).sum() > 1000

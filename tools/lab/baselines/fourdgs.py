@@ -23,7 +23,7 @@ from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.fit.losses import Parameters, from_gaussians, render, to_gaussians
-from airgs_codec.trainer.fit.optimise import Losses
+from airgs_codec.trainer.fit.optimise import LossCheck
 from airgs_codec.trainer.fit.points import from_points, initial_points, scene_extent
 from tools.lab.baselines.method import Footage, Shown
 from tools.lab.baselines.threedgs import SH_EVERY, START_OPACITY, Splats, Timetable
@@ -189,7 +189,7 @@ class Fit:
         self._coarse = round(COARSE * self._factor)
         self._seen = _all_views(footage)
         self._order = _order(len(self._seen), method.iterations, method.seed)
-        self._losses = Losses(1)
+        self._losses = LossCheck(1)
         self.total = method.iterations
         self.iteration = 0
         self.seconds = 0.0

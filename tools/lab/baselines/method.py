@@ -19,7 +19,7 @@ from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.multiview import Points
-from airgs_codec.trainer.data.pictures import Pictures
+from airgs_codec.trainer.data.pictures import ScenePictures
 from airgs_codec.trainer.fit.losses import mean_psnr, mean_ssim
 
 RECORD = "frames.json"
@@ -27,7 +27,7 @@ RECORD = "frames.json"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Footage:
-    pictures: Pictures
+    pictures: ScenePictures
     frames: int
     points: Points | None  # of the first frame; None: the scene has none
     folder: Path  # where the method may keep what it needs to go on, beside the frames

@@ -24,7 +24,7 @@ from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import SH_REST, Gaussians, to_matrices
 from airgs_codec.trainer.data.pictures import FrameViews, View
 from airgs_codec.trainer.fit.grow import Densifier, Growth, strongest
-from airgs_codec.trainer.fit.losses import ATTRIBUTES, Parameters, from_gaussians, to_gaussians
+from airgs_codec.trainer.fit.losses import GAUSSIAN_FIELDS, Parameters, from_gaussians, to_gaussians
 from airgs_codec.trainer.fit.optimise import EPSILON, PerGaussian, Rates, Resting, Schedule, optimise
 from airgs_codec.trainer.fit.trainer import Trainer, fit_first, make_trainer
 from airgs_codec.trainer.settings import TrainSettings
@@ -224,18 +224,18 @@ def decode(before: Gaussians, data: bytes, cache: FieldSettings, region: Region)
 def _added(data: bytes, sh_degree: int) -> Gaussians:
     shapes = {"means": (3,), "quaternions": (4,), "log_scales": (3,), "opacity_logits": (), "sh_dc": (3,)}
     shapes["sh_rest"] = (SH_REST[sh_degree], 3)
-    widths = [math.prod(shapes[name]) for name in ATTRIBUTES]
+    widths = [math.prod(shapes[name]) for name in GAUSSIAN_FIELDS]
     if len(data) % (WIRE.itemsize * sum(widths)):
         raise ConfigError(f"expected Gaussians of {WIRE.itemsize * sum(widths)} bytes, got {len(data)} bytes")
     rows = np.frombuffer(data, WIRE).reshape(-1, sum(widths)).astype(np.float32)
     columns = np.split(rows, np.cumsum(widths)[:-1], axis=1)
     return Gaussians(
-        *(column.reshape(len(rows), *shapes[name]) for name, column in zip(ATTRIBUTES, columns, strict=True))
+        *(column.reshape(len(rows), *shapes[name]) for name, column in zip(GAUSSIAN_FIELDS, columns, strict=True))
     )
 
 
 def _wire(g: Gaussians) -> bytes:
-    return np.concatenate([getattr(g, name).reshape(len(g), -1) for name in ATTRIBUTES], axis=1).astype(WIRE).tobytes()
+    return np.hstack([getattr(g, name).reshape(len(g), -1) for name in GAUSSIAN_FIELDS]).astype(WIRE).tobytes()
 
 
 @dataclass(frozen=True, slots=True)

@@ -212,7 +212,7 @@ OF_TRAINING = (
     Mechanism("dropout in a sparse rig", "", _patched((frame_fit, "DROPOUT", 0.0)), needs=SPARSE),
     Mechanism("cameras are brought into step", f"{DATA}sync", _patched((Rig, "taken_late", lambda _: {})), needs=LATE),
     Mechanism(
-        "pictures between frames", f"{FIT}losses:with_motion {DATA}pictures:_behind {DATA}pictures:key",
+        "pictures between frames", f"{FIT}losses:with_motion",
         _patched((Rig, "taken_late", lambda rig: {n: float(round(v)) for n, v in rig.offsets.items()})), needs=LATE,
     ),
     Mechanism("what rests stays", f"{DATA}pictures:settle {FIT}trainer:find_active", _set(static="off")),
@@ -220,9 +220,7 @@ OF_TRAINING = (
         "only what may change is fitted", f"{FIT}trainer:find_active",
         _patched((Trainer, "_scope", lambda trainer, before, target, base: (target.views, None))), behind=True,
     ),
-    Mechanism(
-        "exposure of cameras", f"{FIT}optimise:ExposureModel trainer/frames:_exposures", _set(match_exposure="off")
-    ),
+    Mechanism("exposure of cameras", f"{FIT}optimise:ExposureModel", _set(match_exposure="off")),
     Mechanism("empty space stays empty", f"{FIT}optimise:penalty", _set(regularised=False)),
     Mechanism(
         "motion goes on", f"{FIT}trainer:_is_foreseen {FIT}trainer:_start", _set(velocity=False), behind=True

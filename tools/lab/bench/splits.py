@@ -37,11 +37,11 @@ from airgs_codec.render import Camera, cpu, read_cameras
 from airgs_codec.scene.camera import BLACK, looked_at
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out, with_near
-from airgs_codec.trainer.data.pictures import Pictures, View, pictures_for
+from airgs_codec.trainer.data.pictures import ScenePictures, View
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.data.sync import in_step
 from airgs_codec.trainer.frames import frame_before
-from airgs_codec.trainer.record import Model, known_offsets, read_model
+from airgs_codec.trainer.record import ModelFolder, known_offsets, read_model
 from airgs_codec.trainer.settings import settings_from_table
 from tools.lab import Lab, Page, Picture, Section, Table, required, rows_of, setting
 
@@ -171,7 +171,7 @@ def judge(number: int, scene: MultiviewScene, folder: Path) -> Judged:
     return Judged(rows, float(np.mean(training)), half_way, last)
 
 
-def shown_to(model: Model, views: Sequence[View]) -> list[Gaussians]:
+def shown_to(model: ModelFolder, views: Sequence[View]) -> list[Gaussians]:
     """What a camera sees of a model at the times of its pictures, one of each frame."""
     return [
         frame_before(model, frame + 1).at(view.after) if view.after else model.read(frame)
@@ -179,11 +179,11 @@ def shown_to(model: Model, views: Sequence[View]) -> list[Gaussians]:
     ]
 
 
-def open_pictures(scene: MultiviewScene, model: Model) -> Pictures:
+def open_pictures(scene: MultiviewScene, model: ModelFolder) -> ScenePictures:
     """The pictures that a model was trained on, and those of its held-out cameras, in the look of the model."""
     settings = settings_from_table(model.record.settings)
     near = min(camera.near for camera in read_cameras(model.folder))
-    pictures = pictures_for(with_near(scene, near), settings)
+    pictures = ScenePictures(with_near(scene, near), settings)
     return pictures.with_exposure(model.record.exposure) if model.record.exposure else pictures
 
 

@@ -60,7 +60,7 @@ def measure(scene: str) -> Row:
     sequence = open_sequence(place)
     found = find_viewpoints([sequence.read(i) for i in evenly_spaced(len(sequence), FRAMES)])
     middle = sequence.load([len(sequence) // 2]).frames[0]
-    row = {"scene": name_of(scene), "sure": found.confident, "story": re.split(r":| \(", found.story)[0]}
+    row = {"scene": name_of(scene), "sure": found.confident, "story": re.split(r":| \(", found.summary)[0]}
     if cameras:
         row |= compare(read_cameras(Path(cameras)), found.cameras, Sample.of(middle, ROWS))
     return row

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from airgs_codec.render import cpu
-from airgs_codec.trainer.data.pictures import Target, View
+from airgs_codec.trainer.data.pictures import TargetPicture, View
 from airgs_codec.trainer.fit.losses import (
     Parameters,
     better,
@@ -93,7 +93,7 @@ def gradient_units() -> dict[str, float]:
 
 
 def views_of(problem: Problem) -> list[View]:
-    return [View(c, Target(np.clip(cpu.render(problem.target, c).rgb, 0, 1))) for c in problem.cameras]
+    return [View(c, TargetPicture(np.clip(cpu.render(problem.target, c).rgb, 0, 1))) for c in problem.cameras]
 
 
 def loss(parameters: Parameters, views: Sequence[View]) -> torch.Tensor:

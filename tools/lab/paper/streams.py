@@ -28,7 +28,7 @@ from airgs_codec.play.study import offsets_of
 from airgs_codec.play.trace import Link, Trace
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.trainer.data.pictures import Pictures
+from airgs_codec.trainer.data.pictures import ScenePictures
 from tools.lab.baselines.airgs import delta_bytes, fetched_bytes, keyframe_bytes
 from tools.lab.baselines.method import Frame
 
@@ -156,7 +156,7 @@ class Stream:
         }  # fmt: skip
 
 
-def one_level(frames: Sequence[Frame], shown: Sequence[Gaussians], pictures: Pictures) -> Level:
+def one_level(frames: Sequence[Frame], shown: Sequence[Gaussians], pictures: ScenePictures) -> Level:
     sizes = spread_keyframes([f.bytes for f in frames], [f.kind == "keyframe" for f in frames])
     return Level(sizes, np.zeros(len(sizes)), psnr_of_all(shown, pictures))
 
@@ -178,7 +178,7 @@ def spread_keyframes(sizes: Sequence[float], keyframes: Sequence[bool]) -> NDArr
     return out
 
 
-def airgs_levels(package: Package, pictures: Pictures) -> tuple[Level, ...]:
+def airgs_levels(package: Package, pictures: ScenePictures) -> tuple[Level, ...]:
     """The levels of a package with their shares of keyframes and tables, in the finest keyframe quality."""
     m = package.manifest
     tables = (sum(fetched_bytes(package)) - m.bytes_of(m.rung_files(0, 0))) / m.frames
@@ -203,7 +203,7 @@ def saved_by_level(m: Manifest) -> NDArray[np.float64]:
     return saved
 
 
-def psnr_of_all(shown: Sequence[Gaussians], pictures: Pictures) -> NDArray[np.float64]:
+def psnr_of_all(shown: Sequence[Gaussians], pictures: ScenePictures) -> NDArray[np.float64]:
     """(T, T) mean over held-out views of the PSNR, in dB, of each of T frames against the pictures of each of them."""
     truth = [[view.target.rgb for view in pictures.held_out(t)] for t in range(len(shown))]
     cameras = [view.camera for view in pictures.held_out(0)]

@@ -25,7 +25,7 @@ from airgs_codec.progress import Progress
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.formats.ply import read_ply
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out, with_near
-from airgs_codec.trainer.data.pictures import Pictures
+from airgs_codec.trainer.data.pictures import ScenePictures
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.settings import TrainSettings, preset
 from tools.lab import timed
@@ -66,7 +66,9 @@ class Subject:
     def footage(self, folder: Path) -> Footage:
         """Return what a method is trained on, into a folder. Raises SceneError."""
         scene = self.open()
-        return Footage(Pictures(scene, max_size=self.size), len(scene), scene.points, folder, self.words())
+        return Footage(
+            ScenePictures(scene, TrainSettings(max_size=self.size)), len(scene), scene.points, folder, self.words()
+        )
 
 
 def parse_subject(text: str) -> Subject:
