@@ -9,13 +9,13 @@
     log = airgs.simulate(package, "lte.csv", "robust-mpc")
 
 These names are the interface; modules behind them may move. Each is loaded when it is first used, so that importing the
-package costs nothing. Paths are `str` or `Path` everywhere, and one stands for what is there wherever an open package,
-sequence or trace is expected. All errors raised on purpose are `AirgsError`.
+package costs nothing. Paths are `str` or `Path` everywhere, and are opened wherever an open package, sequence or trace
+is expected. All errors raised on purpose are `AirgsError`.
 """
 
 from __future__ import annotations
 
-import importlib
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # `as` tells type checkers that a name is public
@@ -52,46 +52,40 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is public
 __version__ = "0.1.0"
 
 _HOMES = {
-    "AirgsError": "errors",
-    "Camera": "scene.camera",
-    "Decision": "play.ladder",
-    "EncodeSettings": "encoder.settings",
-    "Gaussians": "scene.gaussians",
-    "Goal": "encoder.target",
-    "Package": "package.package",
-    "Plan": "encoder.plan",
-    "PlayerState": "play.policies",
-    "Sequence": "scene.sequence",
-    "SessionSettings": "play.playout",
-    "Trace": "play.trace",
-    "TrainSettings": "trainer.settings",
-    "compare": "inspect.compare",
-    "decide": "encoder.decide",
-    "decode": "decoder.decode",
-    "decode_frames": "decoder.decode",
-    "draw": "render.backend",
-    "encode": "encoder.publish",
-    "input_rows": "inspect.errors",
-    "open_package": "package.package",
-    "open_sequence": "scene.sequence",
-    "read": "scene.formats.table",
-    "simulate": "play.session",
-    "train": "trainer",
-    "validate": "inspect.validate",
-    "write": "scene.formats.table",
+    "decoder.decode": ("decode", "decode_frames"),
+    "encoder.decide": ("decide",),
+    "encoder.plan": ("Plan",),
+    "encoder.publish": ("encode",),
+    "encoder.settings": ("EncodeSettings",),
+    "encoder.target": ("Goal",),
+    "errors": ("AirgsError",),
+    "inspect.compare": ("compare",),
+    "inspect.errors": ("input_rows",),
+    "inspect.validate": ("validate",),
+    "package.package": ("Package", "open_package"),
+    "play.ladder": ("Decision",),
+    "play.playout": ("SessionSettings",),
+    "play.policies": ("PlayerState",),
+    "play.session": ("simulate",),
+    "play.trace": ("Trace",),
+    "render.backend": ("draw",),
+    "scene.camera": ("Camera",),
+    "scene.formats.table": ("read", "write"),
+    "scene.gaussians": ("Gaussians",),
+    "scene.sequence": ("GaussianSequence", "open_sequence"),
+    "trainer": ("train",),
+    "trainer.settings": ("TrainSettings",),
 }
-_NAMES_THERE = {"Sequence": "GaussianSequence"}  # where it is another
-
-__all__ = list(_HOMES)
+_PLACES = {name: f"{__name__}.{module}:{name}" for module, names in _HOMES.items() for name in names}
+_PLACES["Sequence"] = _PLACES.pop("GaussianSequence")
+__all__ = sorted(_PLACES)
 
 
 def __getattr__(name: str) -> Any:
-    """The public name `name`, from the module that defines it (PEP 562)."""
-    if name not in _HOMES:
+    """Return the public name `name`, from the module that defines it (PEP 562)."""
+    if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), _NAMES_THERE.get(name, name))
-    globals()[name] = value
-    return value
+    return globals().setdefault(name, resolve_name(_PLACES[name]))
 
 
 def __dir__() -> list[str]:

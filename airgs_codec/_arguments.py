@@ -1,9 +1,9 @@
-"""Arguments of public functions: a path stands for what it opens, and what is of no use is refused in one line."""
+"""Arguments of public functions: a path stands for what it opens, and other values are refused in one line."""
 
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Callable, Sized
+from collections.abc import Callable
 from dataclasses import fields
 from numbers import Integral
 from pathlib import Path
@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 
 from airgs_codec.errors import ConfigError, FrameError
 
-SHOWN, LONGEST = 4, 120  # of a value in another: parts, characters
 Kind = TypeVar("Kind")
 
 
@@ -37,31 +36,24 @@ def path_argument(name: str, value: str | Path) -> str | Path:
 
 
 def frame_argument(value: object, frames: int, least: int = 0) -> int:
-    """Return the number of one of so many frames; from `least` up to 0, where it is below, they count from the end.
-
-    Raises FrameError for anything else.
-    """
+    """Return the number of a frame; negative ones, down to `least`, count from the end. Raises FrameError."""
     if not (isinstance(value, Integral) and least <= int(value) < frames):
         raise FrameError(f"frame: expected {least}..{frames - 1}, got {value!r}")
     return int(value) % frames
 
 
 def brief(value: Any) -> str:
-    """A dataclass for people, as its `__repr__`: what is not as by default, shortened, arrays by their shape."""
-    shown = [(f, getattr(value, f.name)) for f in fields(value) if f.repr]
-    changed = [(f.name, one) for f, one in shown if type(one) is not type(f.default) or one != f.default]
-    return f"{type(value).__name__}({', '.join(f'{name}={_short(one)}' for name, one in changed)})"
-
-
-def _short(value: Any) -> str:
-    if hasattr(value, "dtype") and value.ndim:
-        return f"<{value.dtype} {value.shape}>"
-    if isinstance(value, Sized) and not isinstance(value, str) and len(value) > SHOWN:
-        return f"<{type(value).__name__} of {len(value)}>"
-    text = repr(value)
-    return text if len(text) <= LONGEST and " object at 0x" not in text else f"<{type(value).__name__}>"
+    """Return a short `__repr__` of a dataclass: its arrays by their shape, numbers and texts unless default."""
+    parts = []
+    for one in (one for one in fields(value) if one.repr):
+        found = getattr(value, one.name)
+        if hasattr(found, "dtype") and found.ndim:
+            parts.append(f"{one.name}=<{found.dtype} {found.shape}>")
+        elif isinstance(found, int | float | str) and found != one.default:
+            parts.append(f"{one.name}={found!r}")
+    return f"{type(value).__name__}({', '.join(parts)})"
 
 
 def described(value: object) -> str:
-    """A value for people: its type and, shortened, what it is."""
+    """Return the type of a value and its shortened repr."""
     return "None" if value is None else f"{type(value).__name__} {' '.join(reprlib.repr(value).split())}"

@@ -23,11 +23,8 @@ if TYPE_CHECKING:
 
 BLUE, ORANGE, GREEN, RED, GREY = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b", "#8a8f98"
 HEADS = {
-    "good": "How good it is",
-    "wrong": "What went wrong",
-    "useless": "What is of no use",
-    "change": "What to change",
-}
+    "good": "How good it is", "wrong": "What went wrong", "useless": "What is of no use", "change": "What to change",
+}  # fmt: skip
 STYLE = (
     "body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:1.5rem auto;padding:0 1rem;color:#222;"
     "background:#fff;overflow-wrap:break-word}h1{font-size:1.5rem}h2{font-size:1rem;margin:1rem 0 0}p{margin:0}"
@@ -86,19 +83,16 @@ class Table:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """A chart that `draw` draws in a figure, or what `save` writes to the file `name` beside the page."""
+    """A chart that `draw` draws in a figure, or what `save` writes to the file `name` in the folder of the page."""
 
     name: str
     caption: str
     draw: Callable[[Figure], None] | None = None
-    size: tuple[float, float] = (4.2, 2.7)  # inches: legible on a screen 390 pixels wide, two fit beside each other
+    size: tuple[float, float] = (4.2, 2.7)  # inches: legible on a screen 390 pixels wide, two fit in a line
     save: Callable[[Path], object] | None = None
 
     def write(self, target: Path | io.BytesIO, form: str | None = None) -> None:
-        """Draw the chart in a form, or in that of the name's ending.
-
-        Raises ConfigError without matplotlib, or where it cannot be written.
-        """
+        """Draw the chart in a form, or in that of the name's ending. Raises ConfigError where that cannot be done."""
         require_matplotlib("a picture")
         from matplotlib import rc_context
         from matplotlib.figure import Figure
@@ -106,9 +100,9 @@ class Picture:
         assert self.draw, self.name
         with rc_context({"axes.grid": True, "grid.alpha": 0.3, "legend.fontsize": 8}):
             figure = Figure(figsize=self.size, layout="constrained")
-            known = sorted(figure.canvas.get_supported_filetypes())
-            if isinstance(target, Path) and target.suffix[1:].lower() not in known:
-                raise ConfigError(f"{target}: expected a name that ends in .{', .'.join(known)}")
+            forms = sorted(figure.canvas.get_supported_filetypes())
+            if isinstance(target, Path) and target.suffix[1:].lower() not in forms:
+                raise ConfigError(f"{target}: expected a name that ends in .{', .'.join(forms)}")
             self.draw(figure)
             try:
                 figure.savefig(target, format=form, dpi=110)
@@ -120,8 +114,8 @@ class Picture:
         if self.draw:
             self.write(drawn := io.BytesIO(), "svg")
             kind, source = "chart", f"data:image/svg+xml;base64,{base64.b64encode(drawn.getvalue()).decode()}"
-        seen = f'<img src="{source}" alt="{caption}">'
-        return f'<figure class="{kind}">{seen}<figcaption>{caption}</figcaption></figure>'
+        image = f'<img src="{source}" alt="{caption}">'
+        return f'<figure class="{kind}">{image}<figcaption>{caption}</figcaption></figure>'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,10 +141,7 @@ class Page:
     reload_s: int | None = None  # seconds after which a browser loads it again, where it changes
 
     def write(self, folder: Path) -> Path:
-        """Write index.html and the files of its pictures, and give its path.
-
-        Raises ConfigError without matplotlib, or where they cannot be written.
-        """
+        """Write index.html and the files of its pictures; return its path. Raises ConfigError."""
         again = "" if self.reload_s is None else f'<meta http-equiv="refresh" content="{self.reload_s}">'
         title, body = html.escape(self.title), "".join(section.to_html() for section in self.sections)
         try:
@@ -182,10 +173,7 @@ def listed(names: Sequence[str], most: int = 6) -> str:
 
 
 def require_matplotlib(wanted: str) -> None:
-    """Raise ConfigError unless matplotlib is installed; `wanted` names what needs it, such as an option.
-
-    Commands call this before their work begins, so that nobody waits for a picture that cannot be drawn.
-    """
+    """Raise ConfigError unless matplotlib is installed; `wanted` names what needs it, such as an option."""
     try:
         missing = importlib.util.find_spec("matplotlib") is None
     except ValueError:  # colour-science puts a stand-in without a spec in its place where it is not installed

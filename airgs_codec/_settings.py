@@ -19,7 +19,7 @@ Settings = TypeVar("Settings")
 
 
 def setting(default: Any, about: str, /, **more: Any) -> Any:
-    """Returns a field of settings with its default; `about` is a phrase that says what it means, with its unit.
+    """Return a field of settings with its default; `about` is a phrase that says what it means, with its unit.
 
     `more`: what an option is that is made of it: arguments of `cyclopts.Parameter` (choices, metavar, name, alias);
     `read`, a function from text; `least`, of a whole number; `default`, in words; `topic`, if it is no everyday option;
@@ -29,22 +29,22 @@ def setting(default: Any, about: str, /, **more: Any) -> Any:
 
 
 def computed_setting(default: Callable[[], Any], about: str, /, **more: Any) -> Any:
-    """Returns the same with a default that is computed when the settings are made."""
+    """Return the same with a default that is computed when the settings are made."""
     return field(default_factory=default, metadata={"help": about, **more})
 
 
 def required(about: str, **more: Any) -> Any:
-    """Returns a field without a default, which must be given."""
+    """Return a field without a default, which must be given."""
     return field(metadata={"help": about, **more})
 
 
 def default_of(one: Field[Any]) -> Any:
-    """Returns the default of a field, MISSING where it has none."""
+    """Return the default of a field, MISSING where it has none."""
     return one.default if one.default_factory is MISSING else one.default_factory()
 
 
 def documented(settings: type[Settings]) -> type[Settings]:
-    """Returns the dataclass `settings`, its docstring followed by a paragraph a field: name, default and meaning.
+    """Return the dataclass `settings`, its docstring followed by a paragraph a field: name, default and meaning.
 
     Values of another kind than a field has are refused with a ConfigError that names it, when settings are made.
     """
@@ -65,7 +65,7 @@ def documented(settings: type[Settings]) -> type[Settings]:
 
 
 def _is_of(value: Any, kind: Any) -> bool:
-    """Whether a value is of the kind that a field has; no whole number has more than 31 bits."""
+    """Return whether a value is of the kind that a field has; no whole number has more than 31 bits."""
     inner = get_args(kind)
     if get_origin(kind) is tuple:
         parts = inner[:1] * len(value) if inner[-1] is ... and isinstance(value, tuple | list) else inner
@@ -85,7 +85,7 @@ def _words_of(kind: Any) -> str:
 
 
 def available_cores() -> int:
-    """Returns the cores that this process may run on: fewer than the machine's where a scheduler has given it some."""
+    """Return the number of cores that this process may run on: a scheduler may give it fewer than the machine has."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

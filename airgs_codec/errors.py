@@ -9,18 +9,8 @@ from typing import Any
 class AirgsError(Exception):
     """Everything this package raises on purpose; its text is one line that says where, what was expected, what came.
 
-    A command prints it and exits with status 2.
-
-    + SceneError (ValueError)       a scene that cannot be used: no frames, no Gaussians, a broken .ply
-    + ConfigError (ValueError)      settings that cannot work
-      + FrameError (IndexError)     a frame that is not there
-    + FormatError (ValueError)      a package that is refused; has .reason, .where and .detail
-    + TrainingError (RuntimeError)  a fit went wrong: its loss is not finite, or nothing is left
-    + CodecError (RuntimeError)     FFmpeg refused, or decoded something else than it encoded
-    + TransportError (OSError)      a segment did not arrive, a store refused, a trace cannot be used
-    + WorkError (RuntimeError)      jobs could not be finished: workers died of them, or a result is gone
-
-    Errors come whole from worker processes: they can be pickled, whatever their constructors take.
+    A command prints it and exits with status 2. Errors can be pickled, whatever their constructors take, so that they
+    come whole from worker processes.
     """
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -28,7 +18,7 @@ class AirgsError(Exception):
 
 
 class SceneError(AirgsError, ValueError):
-    """A scene, or something that belongs to it, that cannot be used: frames, cameras, pictures, usage."""
+    """A scene, or something that belongs to it, that cannot be used: no frames, a broken .ply, cameras, usage."""
 
 
 class ConfigError(AirgsError, ValueError):
@@ -65,4 +55,4 @@ class TransportError(AirgsError, OSError):
 
 
 class WorkError(AirgsError, RuntimeError):
-    """Jobs could not be finished: their workers died again and again, or what one reads is not there any more."""
+    """Jobs could not be finished: their workers died again and again, or what one reads is gone."""

@@ -1,4 +1,4 @@
-"""How long work says how far it is, and how long it took."""
+"""Reports of progress, and how long work took."""
 
 from __future__ import annotations
 
@@ -11,29 +11,28 @@ class Progress(Protocol):
     """Called as work goes on, always from the thread that started it."""
 
     def __call__(self, stage: str, done: int, total: int, /) -> None:
-        """`stage`: what is being done, for people; `done` of `total` parts of it are finished (`total` at least 1).
+        """Report that `done` of `total` parts of a stage are finished, `total` at least 1.
 
-        What follows a colon in `stage` says which part it is at, and changes while the stage goes on.
+        What follows a colon in `stage` names the part and changes while the stage goes on.
         """
 
 
 def name_of(stage: str) -> str:
-    """The stage without what it says of the part that it is at."""
     return stage.partition(":")[0]
 
 
 def about(*seconds: float) -> str:
-    """How long something takes in words, roughly; two values are a range."""
+    """Return a rough time in words; two values are a range."""
     unit, name = (1, "s") if max(seconds) < 120 else (60, "minutes") if max(seconds) < 7200 else (3600, "hours")
     return f"about {' to '.join(f'{max(1, s / unit):.0f}' for s in seconds)} {name}"
 
 
 def silent(stage: str, done: int, total: int) -> None:
-    """The default: says nothing."""
+    """Report nothing."""
 
 
 def told(progress: Progress | type) -> Progress:
-    """What `progress=` takes, as a function: a class of bars, such as tqdm.auto.tqdm, shows a bar for each stage."""
+    """Return a function of what `progress=` takes: a class, such as tqdm.auto.tqdm, shows a bar for each stage."""
     return Bars(progress) if isinstance(progress, type) else progress
 
 
@@ -61,13 +60,11 @@ class Bars:
 
 
 class Stopwatch:
-    """Seconds between laps."""
-
     def __init__(self) -> None:
         self._last = time.perf_counter()
 
     def lap(self) -> float:
-        """Seconds since the last lap, or since the start."""
+        """Return the seconds since the last lap, or since the start."""
         now = time.perf_counter()
         seconds, self._last = now - self._last, now
         return seconds

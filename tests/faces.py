@@ -76,12 +76,12 @@ from airgs_codec.package.region import (
     up_of, upright, world_from, world_words,
 )  # fmt: skip
 from airgs_codec.package.publish import set_view
-from airgs_codec.inspect.validate import Finding, exceeded, validate, validate_files
+from airgs_codec.inspect.validate import exceeded, validate, validate_files
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.inspect.summary import describe_left_out, format_ladder, format_summary, plot_ladder, summarise
 from airgs_codec.inspect.compare import (
     LABEL, comparable, compare_streams, compare_two, compared_views, comparison_json, difference_gain, format_two,
-    left_out, open_side, region_views, rung_streams, shared_views, side_by_side,
+    left_out, open_side, rung_streams, shared_views, side_by_side,
 )  # fmt: skip
 
 # Decoding
@@ -118,10 +118,10 @@ from airgs_codec.trainer.record import FrameRecord, Record, TrainedFrame, MODEL_
 # Playing
 from airgs_codec.play.playout import SessionSettings
 from airgs_codec.play.trace import Link, Trace
-from airgs_codec.play.offers import Batch, NONE, Offers
+from airgs_codec.play.offers import Batch, NO_KEYFRAMES as NONE, Offers
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.downloader import (
-    Arrival, Arrived, BatchKind, Cut, Event, GiveUp, Lost, Replaced, Request, Shown, SimulatedDownloader,
+    Arrival, Arrived, BatchKind, Cut, Event, GiveUp, Lost, Replaced, Request, Displayed as Shown, SimulatedDownloader,
 )  # fmt: skip
 from airgs_codec.play.http import HttpDownloader, HttpSettings, RemoteTables
 from airgs_codec.play.player import run
@@ -132,13 +132,13 @@ from airgs_codec.play.study import (
 )  # fmt: skip
 from airgs_codec.play.session import SessionLog, play, session_bound, simulate
 from airgs_codec.play.policies import (
-    ADAPTIVE, Coming, Download, NAMES, PlayerState, Policy, STALL_DB, estimate_throughput, make_policy,
+    ADAPTIVE, Coming, Download, POLICY_NAMES as NAMES, PlayerState, Policy, STALL_DB, estimate_throughput, make_policy,
 )  # fmt: skip
-from airgs_codec.play.bound import Horizon, Slot, solve_horizon
+from airgs_codec.play.bound import Slot, solve_horizon
 
 # Serving
 from airgs_codec.serve.app import (
-    Certificate, Packages, ServerSettings, check_certificate, listen, make_app, media_type, serve,
+    Packages, check_certificate, listen, make_app, media_type, serve,
 )  # fmt: skip
 from airgs_codec.serve.pages import PAGE_TYPES, content_policy, describe, is_built, list_page
 from airgs_codec.serve.export import export_page

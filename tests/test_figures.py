@@ -26,7 +26,7 @@ def test_figures_and_events_are_plain_values_and_a_data_frame():
 def test_a_trace_is_made_of_arrays():
     trace = airgs.Trace.from_arrays([10, 11, 13], np.array([8.0, 0, 4]))
     assert [trace.rate_at(at) for at in (0.5, 1.5, 3.5)] == [8e6, 0, 4e6] and trace.duration_s == 5
-    assert airgs.simulate(PACKAGE, trace, "bola").metrics.trace_mean_bps == trace.mean_bps
+    assert airgs.simulate(PACKAGE, trace, "bola").link.trace is trace
 
 
 def test_a_policy_knows_the_throughput():

@@ -129,7 +129,7 @@ def test_the_page_names_the_worst_frame_and_shows_it_beside_the_given_one(page):
     assert re.findall(r'<img src="([^":]+)"', text) == ["frame-000002.png"]
     assert faces.read_picture(page / "frame-000002.png").shape[1] > 3 * 300  # given, encoded, difference
     assert text.count("<figure") == 2
-    assert re.search(r"is measured at [\d.]+ dB, good to [\d.]+ dB", text) and "What each second bought" in text
+    assert re.search(r"is measured at [\d.]+ dB, good to [\d.]+ dB", text) and "What took the time" in text
 
 
 def test_advice_follows_what_took_the_time_and_how_sure_the_claim_is():

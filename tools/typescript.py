@@ -20,7 +20,7 @@ import numpy as np
 from airgs_codec.coding import atlas, channels, escapes, rangecoder
 from airgs_codec.media import h264, metrics, mp4
 from airgs_codec.package import layout, parse, region, tables
-from airgs_codec.play import downloader, fetcher, http, ladder, offers, player, policies
+from airgs_codec.play import downloader, http, ladder, offers, player, policies
 from airgs_codec.play.playout import SessionSettings
 from airgs_codec.render import cpu, cpu_kernels
 from airgs_codec.scene import gaussians
@@ -101,8 +101,8 @@ def _of_players() -> dict[ModuleType, dict[str, Any]]:
         | _same(policies, "PAST_DOWNLOADS") | {"POLICY_NAMES": list(policies.ADAPTIVE)},
         ladder: _same(ladder, "DEFAULT_BETA", "EPS_DB", "CLIFF_DB"),
         offers: _same(offers, "HEADER_BYTES", "OVER_BUDGET"), downloader: _same(downloader, "CHECK_S"),
-        fetcher: _same(fetcher, "REMEMBERED", "SHORTEST_S"),
-        player: _same(player, "LONGEST_POLL_S", "POLL_S", "SILENCE_S", "REPLACE_GAIN_DB")
+        player: _same(player, "REMEMBERED", "SHORTEST_S", "LONGEST_POLL_S", "POLL_S")
+        | {"SILENCE_S": player.GONE_S, "REPLACE_GAIN_DB": player.REPLACE_GAIN_DB}
         | {"SESSION": {_camel(name): getattr(settings, name) for name in SETTINGS}},
         http: _same(http, "BUSY", "GARBLED", "LONGEST_PAUSE_S", "LEAST_BYTES")
         | {"TIMEOUT_S": patience.timeout_s, "ATTEMPTS": patience.attempts, "BACKOFF_S": patience.backoff_s},

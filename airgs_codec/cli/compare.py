@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import (
@@ -24,34 +22,26 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.compare import (
     Comparison,
     Side,
-    claimed_quality,
     comparable,
-    compare_streams,
+    compare_rungs,
     compare_two,
     compared_views,
     comparison_json,
-    format_comparison,
+    format_rungs,
     format_two,
-    frames_of,
     is_package,
     left_out,
     open_side,
-    pool_splits,
-    region_views,
-    rung_streams,
     shared_views,
     side_by_side,
-    splits_of,
 )
 from airgs_codec.media.image import write_png
-from airgs_codec.media.metrics import Difference
-from airgs_codec.package.package import Package, open_package
-from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, before_background, up_of
+from airgs_codec.package.package import open_package
+from airgs_codec.package.region import CHECKING, before_background, draw_views
 from airgs_codec.places.whole import atomic_path
-from airgs_codec.render import Camera, read_cameras
-from airgs_codec.scene.camera import UP, cameras_from, orbit_views, with_near_planes
+from airgs_codec.render import read_cameras
+from airgs_codec.scene.camera import cameras_from, with_near_planes
 from airgs_codec.scene.formats.table import is_clip
-from airgs_codec.scene.sequence import GaussianSequence
 
 EVERY, VIEWS = "only every N-th of the frames", "cameras to compare from"
 
@@ -65,7 +55,7 @@ class Compare(BakingOptions):
     rung: str | None = setting(None, "keyframe quality and level of the package, of B where both are", default="Q0+L0")
     views: Path | None = setting(None, f"{VIEWS}{FORMS}", default="those of A, B or a package's region, or an orbit")
     output: Path | None = setting(
-        None, "write pictures of A, B and their difference: worst.png, typical.png", alias="-o", metavar="DIR"
+        None, "write A, B and their difference in the worst picture: worst.png", alias="-o", metavar="DIR"
     )
     json: bool = setting(False, "the same as JSON")
 
@@ -78,10 +68,10 @@ def compare(options: Compare) -> int:
     a, b = _open_both(options)
     numbers = range(*parse_range(options.frames, min(a.frames, b.frames)), options.every)
     given = cameras_from(a.origin, read_cameras(options.views)) if options.views else ()
-    words, cameras = shared_views(a, b, compared_views(given, None), str(options.views))
+    words, cameras = shared_views(a, b, compared_views(given), str(options.views))
     with Bar(options.json) as bar:
         result = compare_two(a, b, numbers, cameras, bar)
-    written = _write_pictures(options.output, a, b, result) if options.output else []
+    written = _write_worst(options.output, a, b, result) if options.output else []
     notes = left_out(a, b)
     record = comparison_json(a, b, result)
     if options.json:
@@ -107,13 +97,12 @@ def _open_both(options: Compare) -> tuple[Side, Side]:
     return comparable(a, b)
 
 
-def _write_pictures(folder: Path, a: Side, b: Side, result: Comparison) -> list[Path]:
-    pictures = {name: side_by_side(a, b, getattr(result, name)) for name in ("worst", "typical")}
+def _write_worst(folder: Path, a: Side, b: Side, result: Comparison) -> list[Path]:
+    picture = side_by_side(a, b, result.worst)
     folder.mkdir(parents=True, exist_ok=True)
-    for name, picture in pictures.items():
-        with atomic_path(folder / f"{name}.png") as temporary:
-            write_png(temporary, picture)
-    return [folder / f"{name}.png" for name in pictures]
+    with atomic_path(folder / "worst.png") as temporary:
+        write_png(temporary, picture)
+    return [folder / "worst.png"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,10 +111,8 @@ class Rungs(BakingOptions):
     original: str = required("the sequence that it was made of")
     frames: str = setting(":", FRAMES, metavar="A:B", default="all")
     every: int = setting(1, EVERY, least=1)
-    views: Path | None = setting(None, f"{VIEWS}{FORMS}", default="the original's")
-    split: str | None = setting(None, "train, test or region alone", metavar="NAME", default="the last two, or all")
-    draws: int = setting(8, "views drawn from the package's region: the split region", least=0)
-    seed: int = setting(CHECKING, f"seed of the draws; the encoder used {DECIDING} and {MEASURING}", least=0)
+    views: Path | None = setting(None, f"{VIEWS}{FORMS}", default="drawn from the package's region")
+    draws: int = setting(8, "views that are drawn", least=1)
     json: bool = setting(False, "the same as JSON")
 
 
@@ -138,34 +125,17 @@ def rungs(options: Rungs) -> int:
     if len(original) != package.manifest.frames:
         raise ConfigError(f"{options.original}: expected {package.manifest.frames} frames, got {len(original)}")
     numbers = range(*parse_range(options.frames, len(original)), options.every)
-    cameras = _rung_cameras(options, package, original)
-    streams = rung_streams(package, numbers)
-    claimed = claimed_quality(package.manifest, streams)
-    looked_at = [(number, camera) for number in numbers for camera in cameras]
-    with Bar(options.json) as bar:
-        found = compare_streams(streams, frames_of(original, numbers), looked_at, Difference.of, bar)
-    splits = pool_splits(found, looked_at)
-    if options.json:
-        quality = {"claimed": _plain(claimed), **{split: _plain(some) for split, some in splits.items()}}
-        say(json.dumps({"frames": list(numbers), "views": splits_of(cameras), "quality": quality}))
+    region, middle = package.manifest.region, original.load([len(original) // 2]).frames[0]
+    if options.views:
+        views = compared_views(cameras_from(package.origin, read_cameras(options.views)))
     else:
-        words = ", ".join(f"{count} {split}" for split, count in splits_of(cameras).items())
-        say(f"{len(numbers)} frames; views: {words}; PSNR of the error pooled over pictures, and of the worst picture")
-        say(format_comparison({"claimed": claimed, **splits}))
+        views = draw_views(region, options.draws, CHECKING)
+    cameras = before_background(region, with_near_planes(views, middle))
+    with Bar(options.json) as bar:
+        rows = compare_rungs(package, original, numbers, cameras, bar)
+    if options.json:
+        say(json.dumps({"frames": list(numbers), "views": len(cameras), "rungs": rows}))
+    else:
+        say(f"{len(numbers)} frames in {len(cameras)} views; PSNR of the error pooled over pictures")
+        say(format_rungs(rows))
     return 0
-
-
-def _rung_cameras(options: Rungs, package: Package, original: GaussianSequence) -> list[Camera]:
-    cameras = list(cameras_from(package.origin, read_cameras(options.views)) if options.views else original.cameras)
-    region = package.manifest.region
-    cameras += region_views(region, options.draws, options.seed)
-    middle = original.load([len(original) // 2]).frames[0]
-    if not cameras:  # an orbit, upright as the package tells
-        world = package.manifest.world
-        cameras = orbit_views(middle, up=UP if world is None else up_of(world))
-    cameras = with_near_planes(cameras, middle)
-    return before_background(region, compared_views(cameras, options.split))
-
-
-def _plain(qualities: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: quality and asdict(quality) for name, quality in qualities.items()}

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from airgs_codec._report import require_matplotlib
@@ -77,7 +77,7 @@ def validate(options: Validate) -> int:
         measured = list(measure_errors(open_package(options.package), against))
         findings = check.exceeded(measured)
     if options.json:
-        say(json.dumps([asdict(finding) for finding in findings]))
+        say(json.dumps([{"reason": f.reason, "where": f.where, "detail": f.detail} for f in findings]))
     elif findings:
         say("\n".join(str(f) for f in findings))
     else:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from airgs_codec._report import listed
 from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import (
     CUDA,
@@ -26,18 +25,18 @@ from airgs_codec.cli.options import (
 from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import Package, find_faults, open_package
-from airgs_codec.places.place import Folder
+from airgs_codec.package.region import RegionSummary
 from airgs_codec.places.whole import to_json
 from airgs_codec.play.film import film
 from airgs_codec.play.http import HttpDownloader, HttpSettings
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.playout import SessionSettings
-from airgs_codec.play.policies import DEFAULT_POLICY, NAMES, make_policy
-from airgs_codec.play.report import format_metrics, region_record, some, write_report
+from airgs_codec.play.policies import DEFAULT_POLICY, POLICY_NAMES, make_policy
+from airgs_codec.play.report import format_metrics, write_report
 from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.session import play as play_over
 from airgs_codec.play.study import StudySettings, format_study, run_study, study_record
-from airgs_codec.play.trace import DEFAULT_RTT_S, ENDS, Link, Trace
+from airgs_codec.play.trace import DEFAULT_RTT_S, TRACE_ENDS, Link, Trace
 from airgs_codec.render.backend import open_renderer
 
 PAPER = ("paper", "paper-no-cliff", "paper-literal", "paper-literal-no-cliff")
@@ -49,11 +48,13 @@ TRACES = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBP
 class Play(BakingOptions):
     package: str = required(f"{PACKAGE}, or where a web server has it", metavar="PACKAGE|URL")
     trace: str | None = setting(None, f"rates of the link: {TRACES}")
-    policy: str = setting(DEFAULT_POLICY, f"what chooses rungs; {', '.join(NAMES)}, fixed:J (level J) or fixed:RUNG")
+    policy: str = setting(
+        DEFAULT_POLICY, f"what chooses rungs; {', '.join(POLICY_NAMES)}, fixed:J (level J) or fixed:RUNG"
+    )
     rtt: float | None = setting(None, "round trip", metavar="MS", default=f"the trace's, else {1e3 * DEFAULT_RTT_S:g}")
     offset: float = setting(0.0, "where in the trace to begin", metavar="S", topic="link")
     scale: float = setting(1.0, "factor on the trace's rates", topic="link")
-    end: str = setting("loop", "what follows the trace's last second", choices=ENDS, topic="link")
+    end: str = setting("loop", "what follows the trace's last second", choices=TRACE_ENDS, topic="link")
     player: Given = given(SessionSettings, "player", ("buffer_s", "budget", "loops"), "player")
     http: Given = given(HttpSettings, "http, for a URL", name="http")
     compare: bool = setting(False, "compare policies with each other on --traces")
@@ -96,9 +97,9 @@ def play(options: Play) -> int:
         raise ConfigError("expected --trace, or --compare with --traces")
     if options.rtt is not None and not (math.isfinite(options.rtt) and options.rtt >= 0):
         raise ConfigError(f"--rtt: expected a round trip of 0 ms or more, got {options.rtt:g}")
-    trace = Trace.open(options.trace).cut(options.offset, options.scale).ending(options.end)
+    trace = replace(Trace.open(options.trace).cut(options.offset, options.scale), end=options.end)
     log = simulate(package, Link.over(trace, _rtt_s(options)), options.policy, rules, find_faults(package))
-    _present(package, log, options)
+    _present(log, options)
     return 0
 
 
@@ -109,29 +110,29 @@ def _rtt_s(options: Play) -> float | None:
 def _over_http(options: Play, rules: SessionSettings) -> int:
     if options.trace or options.compare:
         raise ConfigError("a URL is played over the real connection: expected no --trace and no --compare")
-    with contextlib.ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="airgs-")))
-        keep = Folder(folder).write if options.video else None
-        settings = HttpSettings(**options.http)
-        downloader = HttpDownloader(options.package, settings, keep, lambda line: warn(f"airgs-play: {line}"))
-        log = play_over(stack.enter_context(downloader).open(), downloader, options.policy, rules)
-        if options.video:
-            downloader.fetch_beside(log)
-        _present(Package(Folder(folder), log.offers.manifest, log.offers.root_bytes), log, options)
+    settings = HttpSettings(**options.http)
+    with HttpDownloader(options.package, settings, None, lambda line: warn(f"airgs-play: {line}")) as downloader:
+        log = play_over(downloader.open(), downloader, options.policy, rules)
+    _present(log, options)
     return 0
 
 
-def _present(package: Package, log: SessionLog, options: Play) -> None:
+def _present(log: SessionLog, options: Play) -> None:
     """Make the pictures and print the figures that were asked for."""
     original = open_frames(options.original, quiet=options.json, **options.baking()) if options.original else None
     if options.report:
         write_report(log, options.report)
     if options.video:
         if all(shown.rung is None for shown in log.shown):
-            raise ConfigError(f"{options.package}: nothing can be shown: {some(log.lost)}")
+            raise ConfigError(f"{options.package}: nothing can be shown: {listed(log.lost)}")
         with Bar(options.json) as bar:
-            film(package, log, options.video, original, bar, open_renderer(options.device))
-    said = {"policy": log.policy, "lost": log.lost, "retried": log.retried, "region": region_record(log)}
+            film(open_package(options.package), log, options.video, original, bar, open_renderer(options.device))
+    said = {
+        "policy": log.policy,
+        "lost": log.lost,
+        "retried": log.retried,
+        "region": asdict(RegionSummary.of(log.offers.manifest.region)),
+    }
     record = log.metrics.as_dict() | said
     if options.json:
         say(to_json(record))

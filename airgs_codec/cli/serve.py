@@ -15,7 +15,7 @@ from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import run_program, takes
 from airgs_codec.cli.terminal import say
 from airgs_codec.errors import ConfigError
-from airgs_codec.serve.app import Certificate, Packages, ServerSettings, check_certificate, listen, make_app
+from airgs_codec.serve.app import Packages, check_certificate, listen, make_app
 from airgs_codec.serve.app import serve as serve_app
 from airgs_codec.serve.pages import NOT_BUILT, is_built, player_address
 
@@ -46,23 +46,24 @@ def serve(options: Serve) -> int:
         raise ConfigError("expected --certificate and --key together")
     certificate = None
     if options.certificate and options.key:
-        certificate = Certificate(options.certificate, options.key)
-        check_certificate(certificate)
-    settings = ServerSettings(certificate)
-    listening = listen(options.host, options.port, settings.patience_s)
+        certificate = options.certificate, options.key
+        check_certificate(*certificate)
+    listening = listen(options.host, options.port)
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)  # open files that the system lets this process have
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     say(_greeting(packages, listening, "https" if certificate else "http"))
-    asyncio.run(_serve_until_signal(packages, listening, settings))
+    asyncio.run(_serve_until_signal(packages, listening, certificate))
     say("stopped")
     return 0
 
 
-async def _serve_until_signal(packages: Packages, listening: socket.socket, settings: ServerSettings) -> None:
+async def _serve_until_signal(
+    packages: Packages, listening: socket.socket, certificate: tuple[Path, Path] | None
+) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    await serve_app(make_app(packages), listening, settings, stop)
+    await serve_app(make_app(packages), listening, stop, certificate)
 
 
 def _greeting(packages: Packages, listening: socket.socket, scheme: str) -> str:

@@ -1,4 +1,4 @@
-"""Gaussians beside those that they should be, as pictures: PSNR, SSIM and CIEDE2000 over views and frames.
+"""Pictures of Gaussians compared with those of a reference: PSNR, SSIM and CIEDE2000 over views and frames.
 
 Either many streams of frames, such as the rungs of a package, against the original; or two scenes or packages, A and B,
 of which A is the reference, with the worst picture and a typical one. H x W pixels, 8-bit RGB.
@@ -22,11 +22,11 @@ from airgs_codec._arguments import argument, brief
 from airgs_codec._report import Table
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.summary import QUALITY, Columns
+from airgs_codec.inspect.summary import QUALITY, Columns, Row
 from airgs_codec.media.image import contact_sheet, to_bytes
 from airgs_codec.media.metrics import Difference, Picture, Quality, pool, psnr
 from airgs_codec.package.layout import JSON_NAME
-from airgs_codec.package.manifest import Manifest, quality_of
+from airgs_codec.package.manifest import quality_of
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.region import CHECKING, background_of, draw_views, from_origin
 from airgs_codec.package.tables import Region, RungQuality
@@ -42,13 +42,11 @@ from airgs_codec.scene.frames import ZERO, Origin
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
-DRAWS = 8  # views of a region
-REGION = "region"  # the split of views that are drawn from the package's region
+REGION_VIEWS = 8  # that are drawn from a region
 LABEL = 36  # pixels above each picture, for two lines
 LEAST_WIDTH = 320  # pixels; smaller pictures are shown with larger pixels, so that labels have room
 MOST_GAIN = 64
-SHOWN = 0.999  # of the differences are not cut off
-SIDES: Columns = {
+SIDE_COLUMNS: Columns = {
     "side": ("", ""), "name": ("", ""), "rung": ("rung", ""), "frames": ("frames", "d"), "fps": ("fps", "g"),
     "sh_degree": ("SH degree", ""), "bytes_per_frame": ("bytes a frame", ",.0f"),
     "gaussians": ("Gaussians", lambda rows: " to ".join(f"{count:,}" for count in dict.fromkeys(rows))),
@@ -95,7 +93,7 @@ class Side:
 
 
 def is_package(scene: Scene | str | Path) -> bool:
-    """Return whether it is one, or one is there. Raises ConfigError for an address that cannot be, TransportError."""
+    """Return whether a scene, or what a path leads to, is a package. Raises ConfigError, TransportError."""
     if isinstance(scene, str | Path):
         return place_at(scene).exists(JSON_NAME) if is_address(scene) else Path(scene, JSON_NAME).is_file()
     return isinstance(scene, Package)
@@ -159,21 +157,11 @@ def _size(path: Path) -> int:
 
 
 def frames_of(sequence: GaussianSequence, numbers: Iterable[int]) -> Iterator[Gaussians]:
-    """Return frames of a sequence after repairs, each read when it is asked for."""
     return (sequence.load([number]).frames[0] for number in numbers)
 
 
-def rung_streams(
-    package: Package, frames: range, level: str | None = None, keyframe_quality: str | None = None
-) -> dict[str, Iterator[Gaussians]]:
-    """Return these frames of every rung of a package, or of those of one level or keyframe quality, decoded one by one.
-
-    Raises ConfigError for a level or keyframe quality that the package does not have.
-    """
-    m = package.manifest
-    levels = m.levels if level is None else [m.levels[m.level_index(level)]]
-    qualities = m.qualities if keyframe_quality is None else [m.qualities[m.quality_index(keyframe_quality)]]
-    return {f"{q.id}+{v.id}": rung_frames(package, frames, v.id, q.id) for q in qualities for v in levels}
+def rung_streams(package: Package, frames: range) -> dict[str, Iterator[Gaussians]]:
+    return {rung.name: rung_frames(package, frames, rung.level, rung.keyframe_quality) for rung in package.rungs}
 
 
 def rung_frames(package: Package, frames: range, level: str, keyframe_quality: str) -> Iterator[Gaussians]:
@@ -212,14 +200,14 @@ def shared_views(a: Side, b: Side, cameras: Sequence[Camera] = (), source: str =
     behind near planes for the size of A.
     """
     first = next(a.read(range(1)))
-    sets = [(cameras, source), *((compared_views(side.cameras, None), side.name) for side in (a, b))]
+    sets = [(cameras, source), *((compared_views(side.cameras), side.name) for side in (a, b))]
     views, name = next(((list(some), name) for some, name in sets if some), ([], ""))
     if views:
         held_out = "held-out " * (views[0].split == "test")
         words = f"{len(views)} {held_out}camera{'s' * (len(views) > 1)} of {name}"
     elif side := next((side for side in (b, a) if side.region), None):
         assert side.region
-        views = region_views(side.region, DRAWS, CHECKING)
+        views = draw_views(side.region, REGION_VIEWS, CHECKING)
         words = f"{len(views)} views drawn from the viewing region of {side.name}, seed {CHECKING}"
     else:
         views = orbit_views(first, up=np.array(a.axes.up) if a.axes else UP)
@@ -228,26 +216,9 @@ def shared_views(a: Side, b: Side, cameras: Sequence[Camera] = (), source: str =
     return words, [replace(view, background=behind) for view in with_near_planes(views, first)]
 
 
-def splits_of(cameras: Sequence[Camera]) -> dict[str, int]:
-    names = [camera.split for camera in cameras]
-    return {name: names.count(name) for name in dict.fromkeys(names)}
-
-
-def region_views(region: Region, count: int, seed: int) -> list[Camera]:
-    """Return views drawn from a region, as a split of their own."""
-    return [replace(view, split=REGION) for view in draw_views(region, count, seed)]
-
-
-def compared_views(cameras: Sequence[Camera], split: str | None) -> list[Camera]:
-    """Return the cameras of a split; without one those of REGION and those held out (`test`), or all if none is.
-
-    Raises ConfigError.
-    """
-    found = splits_of(cameras)
-    if split is not None and split not in found:
-        raise ConfigError(f"split: expected one of {', '.join(sorted(found))}, got {split!r}")
-    wanted = {split} if split else {REGION, "test"} if "test" in found else set(found)
-    return [camera for camera in cameras if camera.split in wanted]
+def compared_views(cameras: Sequence[Camera]) -> list[Camera]:
+    """Return the cameras that were held out from training, or all if none was."""
+    return [camera for camera in cameras if camera.split == "test"] or list(cameras)
 
 
 def compare_streams(
@@ -272,16 +243,6 @@ def compare_streams(
     return found
 
 
-def pool_splits(found: Mapping[str, Sequence[Difference]], views: Sequence[View]) -> dict[str, dict[str, Quality]]:
-    """Return the quality of every stream in each split of the cameras; `found`: a difference for each of the views."""
-    splits = {split: [view[1].split == split for view in views] for split in splits_of([view[1] for view in views])}
-    _count_blank(next(iter(found.values())))
-    return {
-        split: {name: pool(list(itertools.compress(errors, inside))) for name, errors in found.items()}
-        for split, inside in splits.items()
-    }
-
-
 def _count_blank(differences: Sequence[Difference]) -> int:
     """Return how many pictures show nothing. Raises ConfigError where none shows anything."""
     blank = sum(difference.blank for difference in differences)
@@ -290,34 +251,31 @@ def _count_blank(differences: Sequence[Difference]) -> int:
     return blank
 
 
-def claimed_quality(m: Manifest, names: Iterable[str]) -> dict[str, RungQuality | None]:
-    """Return what a package says of rungs named as in `rung_streams`; None where it was not measured."""
-    pairs = {f"{q.id}+{v.id}": (j, i) for i, q in enumerate(m.qualities) for j, v in enumerate(m.levels)}
-    return {name: quality_of(m, *pairs[name]) for name in names}
+def compare_rungs(
+    package: Package, original: GaussianSequence, frames: range, cameras: Sequence[Camera], progress: Progress = silent
+) -> list[Row]:
+    """Return a row for each rung: its quality against the original, and the PSNR that the package claims, or None.
+
+    Raises ConfigError where no picture shows anything, SceneError or FormatError for a frame that cannot be read.
+    """
+    views = [(number, camera) for number in frames for camera in cameras]
+    found = compare_streams(rung_streams(package, frames), frames_of(original, frames), views, Difference.of, progress)
+    _count_blank(next(iter(found.values())))
+    return [
+        {"rung": rung.name, **dataclasses.asdict(pool(found[rung.name])), "claimed": rung.psnr}
+        for rung in package.rungs
+    ]
 
 
-def format_comparison(splits: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return a line for each stream, with columns for each split."""
-    columns: Columns = {"decoded": ("decoded", "")}
-    rows = {name: {"decoded": name} for name in next(iter(splits.values()))}
-    for split, qualities in splits.items():
-        columns |= {split + key: column for key, column in QUALITY.items()} | {f"{split}psnr": (f"{split}: dB", ".2f")}
-        for name, quality in qualities.items():
-            rows[name] |= {split + key: value for key, value in dataclasses.asdict(quality).items()} if quality else {}
-    return Table("", list(rows.values()), columns).to_text()
+def format_rungs(rows: Sequence[Row]) -> str:
+    return Table("", rows, {"rung": ("rung", ""), **QUALITY, "claimed": ("claimed dB", ".2f")}).to_text()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """One picture: a frame as one camera sees it."""
-
+class ComparedPicture:
     frame: int
     camera: Camera
     psnr: float  # dB, of B against A
-
-    def to_json(self) -> dict[str, Any]:
-        camera = {"camera": self.camera.name, "position": self.camera.position.tolist()}
-        return {"frame": self.frame} | camera | {"psnr": self.psnr}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -328,23 +286,14 @@ class Comparison:
     cameras: tuple[str, ...]  # their names
     gaussians: tuple[tuple[int, int], tuple[int, int]]  # of A and of B: fewest and most rows of a frame
     quality: Quality  # of pictures that show something
-    pictures: tuple[Seen, ...]  # all, frame after frame
+    pictures: tuple[ComparedPicture, ...]  # all, frame after frame
     blank: int = 0  # of them, which show nothing of either
 
     __repr__ = brief
 
     @property
-    def ranked(self) -> list[Seen]:
-        return sorted(self.pictures, key=lambda seen: seen.psnr)
-
-    @property
-    def worst(self) -> Seen:
-        return self.ranked[0]
-
-    @property
-    def typical(self) -> Seen:
-        """Return the picture whose error is the median."""
-        return self.ranked[(len(self.pictures) - 1) // 2]
+    def worst(self) -> ComparedPicture:
+        return min(self.pictures, key=lambda picture: picture.psnr)
 
 
 def compare(
@@ -361,7 +310,7 @@ def compare(
     `rung`: keyframe quality and level of a package, such as Q1+L2 (default: Q0+L0); of the compared one where both are.
     `frames` are by default all that both have; `cameras` those that `shared_views` finds, from the
     origin of the reference. `progress`: a function, or a class of bars such as tqdm.auto.tqdm. Raises ConfigError for a
-    rung or frames that are not there and for frame rates that differ, and what reading either raises.
+    rung or frames that do not exist and for frame rates that differ, and what reading either raises.
     """
     rungs = (None, rung) if is_package(compared) else (rung, None)
     a = open_side(reference, rungs[0], name="reference")
@@ -391,7 +340,9 @@ def compare_two(a: Side, b: Side, frames: range, cameras: Sequence[Camera], prog
         cameras=tuple(camera.name for camera in cameras),
         gaussians=((min(rows[0]), max(rows[0])), (min(rows[1]), max(rows[1]))),
         quality=pool(differences),
-        pictures=tuple(Seen(*view, psnr(difference.mse)) for view, difference in zip(views, differences, strict=True)),
+        pictures=tuple(
+            ComparedPicture(*view, psnr(difference.mse)) for view, difference in zip(views, differences, strict=True)
+        ),
         blank=_count_blank(differences),
     )
 
@@ -403,7 +354,7 @@ def _counted(frames: Iterator[Gaussians], rows: list[int]) -> Iterator[Gaussians
 
 
 def comparison_json(a: Side, b: Side, result: Comparison) -> dict[str, Any]:
-    """Return the figures of both sides and of their comparison as plain values."""
+    worst = result.worst
     reference, compared = (
         {"name": side.name, "rung": side.rung, "frames": side.frames, "fps": side.fps and float(side.fps)}
         | {"sh_degree": side.sh_degree, "gaussians": list(rows), "bytes_per_frame": side.bytes_per_frame}
@@ -417,8 +368,8 @@ def comparison_json(a: Side, b: Side, result: Comparison) -> dict[str, Any]:
         "cameras": list(result.cameras),
         "blank": result.blank,
         "quality": dataclasses.asdict(result.quality),
-        "worst": result.worst.to_json(),
-        "typical": result.typical.to_json(),
+        "worst": {"frame": worst.frame, "camera": worst.camera.name, "psnr": worst.psnr}
+        | {"position": worst.camera.position.tolist()},
     }
 
 
@@ -427,12 +378,9 @@ def format_two(record: Mapping[str, Any], views: str, notes: Iterable[str] = ())
     q, frames, compared = record["quality"], record["frames"], record["compared"]
     sides = [{"side": "A, the reference"} | record["reference"], {"side": "B"} | compared]
     claim = f" (B's tables claim {compared['claimed']['psnr']:.2f} dB)" if compared["claimed"] else ""
-    seen = {
-        name: "{psnr:.2f} dB, frame {frame}, camera {camera}".format(**record[name]) for name in ("worst", "typical")
-    }
     return "\n".join(
         [
-            Table("", sides, SIDES).to_text(),
+            Table("", sides, SIDE_COLUMNS).to_text(),
             f"{len(frames)} frame{'s' * (len(frames) > 1)} ({frames[0]} to {frames[-1]}) in {views}",
             *(f"left out: {note}" for note in notes),
             *([f"not counted: {record['blank']} pictures that show nothing"] if record["blank"] else []),
@@ -440,12 +388,12 @@ def format_two(record: Mapping[str, Any], views: str, notes: Iterable[str] = ())
             f"SSIM    {q['ssim']:.4f}",
             f"ΔE2000  {q['delta_e']:.2f}",
             f"bytes   {compared['bytes_per_frame'] / record['reference']['bytes_per_frame']:.3g} times those of A",
-            *(f"{name:<7} {words}" for name, words in seen.items()),
+            "worst   {psnr:.2f} dB, frame {frame}, camera {camera}".format(**record["worst"]),
         ]
     )
 
 
-def side_by_side(a: Side, b: Side, seen: Seen) -> NDArray[np.uint8]:
+def side_by_side(a: Side, b: Side, seen: ComparedPicture) -> NDArray[np.uint8]:
     """Return A, B and their difference as one camera sees them, with labels above, (LABEL + H, 3 W, 3)."""
     frames = range(seen.frame, seen.frame + 1)
     first, second = (draw_still(next(side.read(frames)))(seen.frame, seen.camera).rgb for side in (a, b))
@@ -462,7 +410,7 @@ def side_by_side(a: Side, b: Side, seen: Seen) -> NDArray[np.uint8]:
 
 def difference_gain(difference: NDArray[np.float32]) -> int:
     """Return the power of 2, at most MOST_GAIN, that differences of [0, 1] are multiplied by to be seen."""
-    large = float(np.quantile(difference, SHOWN))
+    large = float(np.quantile(difference, 0.999))
     return MOST_GAIN if large * MOST_GAIN <= 1 else 2 ** max(0, math.floor(-math.log2(large)))
 
 

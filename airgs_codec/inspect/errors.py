@@ -1,8 +1,8 @@
-"""The errors of a package against the sequence it was made of, attribute by attribute, beside what it promises.
+"""The errors of a package against the sequence it was made of, attribute by attribute, and what it promises.
 
-The order of rows in a package is not stored. Each of its rows is matched with an original by all attributes but SH
-rest, in three frames of the group where it has deltas, else in the mean of all frames: with the one that is nearest in
-steps of those that keep what is promised, or the nearest where none does. N rows of a group.
+The order of rows in a package is not stored. Each row is matched with an original by all attributes but SH rest, in
+three frames of the group where it has deltas, else in the mean of all frames: with the nearest, in steps, of those
+within what is promised, or the nearest where none is. N rows of a group.
 """
 
 from __future__ import annotations
@@ -34,8 +34,14 @@ from airgs_codec.scene.frames import turn_least
 from airgs_codec.scene.gaussians import Gaussians, mean_frame, mix_rows, to_matrices
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
-NEAREST = 4  # originals of which a row may be one
-FEATURES = (3, 3, 9, 1, 3)  # numbers of each attribute that rows are matched by: rotations as matrices, of colours DC
+CLOSEST = 4  # originals of which a row may be one
+FEATURE_WIDTHS = (
+    3,
+    3,
+    9,
+    1,
+    3,
+)  # by which rows are matched: rotations as matrices, of colours DC
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,11 +154,11 @@ def _match(
 def _nearest(
     originals: NDArray[np.float64], found: NDArray[np.float64], promised: NDArray[np.float64]
 ) -> NDArray[np.intp]:
-    """Return the original of each row found, (n, 19 F): of the NEAREST the first within what is promised, (n, 19)."""
-    _, near = cKDTree(originals).query(found, range(1, 1 + min(NEAREST, len(originals))), workers=-1)
+    """Return the original of each row found, (n, 19 F): the first candidate within what is promised, (n, 19)."""
+    _, near = cKDTree(originals).query(found, range(1, 1 + min(CLOSEST, len(originals))), workers=-1)
     allowed = np.tile(promised, originals.shape[1] // promised.shape[1])
-    kept = np.stack([(np.abs(found - originals[rows]) <= allowed).all(1) for rows in near.T], axis=1)
-    return np.asarray(np.take_along_axis(near, kept.argmax(1)[:, None], axis=1)[:, 0])
+    within = np.stack([(np.abs(found - originals[rows]) <= allowed).all(1) for rows in near.T], axis=1)
+    return np.asarray(np.take_along_axis(near, within.argmax(1)[:, None], axis=1)[:, 0])
 
 
 def _promised(group: Group, base: Canonical) -> NDArray[np.float64]:
@@ -169,7 +175,7 @@ def _promised(group: Group, base: Canonical) -> NDArray[np.float64]:
         keyframe = [np.inf] * (len(level) - len(keyframe)) + keyframe
         rows.append(np.where(still[part, None], keyframe, level))
     units = [*(getattr(steps, run.attribute) for run in DELTA.runs), 1.0]
-    promised = np.repeat(np.concatenate(rows) / units, FEATURES, axis=1)
+    promised = np.repeat(np.concatenate(rows) / units, FEATURE_WIDTHS, axis=1)
     promised[:, :3] *= (base.motion_units / np.median(base.motion_units))[:, None]
     promised[:, -3:] *= np.abs(base.transform)[:, :3].sum(axis=0)
     promised[still, -3:] *= group.keyframe_steps.sh_dc / steps.sh_dc
@@ -191,14 +197,14 @@ def _keyframes(
     package: Package, index: int, group: Group, base: Canonical, original: Gaussians, sure: NDArray[np.bool_]
 ) -> Iterator[Measured]:
     m = package.manifest
-    layout, against, known = keyframe_layout(group), m.base_of(index), sure
+    layout, against, compared = keyframe_layout(group), m.base_of(index), sure
     for q, quality in enumerate(m.qualities):
         if against is None:
             values = keyframe_channels(original, base.transform, group.keyframe_steps, group.grid.unit)
         else:
-            other = decode_canonical(package, against, q)
-            values, drawn = frame_channels(original, other, group.difference_steps)
-            known = sure & drawn  # others differ by nothing
+            reference = decode_canonical(package, against, q)
+            values, drawn = frame_channels(original, reference, group.difference_steps)
+            compared = sure & drawn  # others differ by nothing
         first = 0
         for t, tier in enumerate(group.tiers):
             part = slice(first, first := first + tier.count)
@@ -206,7 +212,7 @@ def _keyframes(
                 coded = scale_codes(decode_keyframe(package, index, t, q)[0], keyframe_units(package, index, t, q))
                 errors = np.abs(values[:, part] - (coded if coded.size else 0))
                 where = f"group {index} keyframe T{t} {quality.id}"
-                yield from _measured(where, layout, tier.qualities[q].max_error, errors, known[part])
+                yield from _measured(where, layout, tier.qualities[q].max_error, errors, compared[part])
 
 
 def _deltas(

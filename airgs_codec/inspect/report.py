@@ -1,4 +1,4 @@
-"""The page of an encode: how near the package is to the frames that were given, and what each second bought."""
+"""The page of an encode: how near the package is to the frames that were given, and what took the time."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 from airgs_codec._report import Page, Picture, Table, answered
 from airgs_codec.encoder.publish import EncodeReport
+from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.inspect.compare import compare_two, open_side, shared_views, side_by_side
 from airgs_codec.inspect.summary import plot_rungs, rung_table, summarise
 from airgs_codec.media.image import write_png
@@ -17,11 +18,10 @@ from airgs_codec.render import Camera
 from airgs_codec.scene.camera import resized
 from airgs_codec.scene.sequence import GaussianSequence
 
-VIEWS = 4  # of each frame
-PIXELS = 200_000  # of a picture, at most
+REPORT_VIEWS = 4  # of each frame
+REPORT_PIXELS = 200_000  # of a picture, at most
 MUCH = 0.4  # share of the time above which less of a stage may do
 UNEVEN_DB = 3.0  # under the mean from which a picture is named as a fault
-MOST = 64  # pictures that measure, by default
 UNSURE_DB = 0.5  # of a claim, from which more pictures should measure
 
 
@@ -34,7 +34,7 @@ def write_report(
     """
     a, b, m = open_side(given, name="given"), open_side(package, name="encoded"), package.manifest
     words, views = shared_views(a, b)
-    result = compare_two(a, b, range(a.frames), [_small(view) for view in views[:VIEWS]], progress)
+    result = compare_two(a, b, range(a.frames), [_small(view) for view in views[:REPORT_VIEWS]], progress)
     s = summarise(m, done.manifest_bytes)
     top, quality, worst, sizes = s["rungs"][0], result.quality, result.worst, s["top_rung_bytes"]
     claim = f", and is measured at {top['psnr']:.1f} dB, good to {top['error']:.1f} dB" if m.measured else ""
@@ -67,7 +67,7 @@ def write_report(
         "gained": ("gained", ""),
     }  # fmt: skip
     tables = [
-        Table("What each second bought", [asdict(stage) for stage in done.stages()], stages),
+        Table("What took the time", [asdict(stage) for stage in done.stages()], stages),
         rung_table(s["rungs"]),
         Table("What was decided", [{"decision": line} for line in m.decisions]),
     ]
@@ -75,20 +75,20 @@ def write_report(
 
 
 def _small(camera: Camera) -> Camera:
-    return resized(camera, min(1.0, (PIXELS / (camera.width * camera.height)) ** 0.5))
+    return resized(camera, min(1.0, (REPORT_PIXELS / (camera.width * camera.height)) ** 0.5))
 
 
 def advice(done: EncodeReport) -> str:
     """Return what would make the next encode better or quicker; empty where that is nothing."""
     seconds = {stage.about: stage.seconds for stage in done.stages()}
-    share, told = {name: s / max(1e-9, sum(seconds.values())) for name, s in seconds.items()}, []
+    share, found = {name: s / max(1e-9, sum(seconds.values())) for name, s in seconds.items()}, []
     rungs, given = done.manifest.rungs, done.plan.settings
-    if rungs and rungs[0][0].error > UNSURE_DB and given.measure_pictures < MOST:
-        told.append("The claim is not sure: more --measure-pictures make it so.")
+    if rungs and rungs[0][0].error > UNSURE_DB and given.measure_pictures < EncodeSettings().measure_pictures:
+        found.append("The claim is not sure: more --measure-pictures make it so.")
     elif share["measuring"] > MUCH:
-        told.append("Fewer --measure-pictures would be quicker, with a claim less sure.")
+        found.append("Fewer --measure-pictures would be quicker, with a claim less sure.")
     if share.get("steps and pruning levels", 0.0) > MUCH:
-        told.append("--calibrate none does without trials, at the price of what they save.")
+        found.append("--calibrate none does without trials, at the price of what they save.")
     if share.get("quality", 0.0) > MUCH and not given.steps.colours:  # a target of colour differences chooses colours
-        told.append(f"The next encode of this scene need not search: --quality {given.quality:.4g} is what was found.")
-    return " ".join(told)
+        found.append(f"The next encode of this scene need not search: --quality {given.quality:.4g} is what was found.")
+    return " ".join(found)

@@ -7,26 +7,23 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from airgs_codec._report import BLUE, GREY, Form, Picture, Table
 from airgs_codec.media.metrics import psnr
 from airgs_codec.media.movie import LAYOUTS
-from airgs_codec.package.layout import DELTA, KEYFRAME, Layout
+from airgs_codec.package.layout import DELTA, KEYFRAME
 from airgs_codec.package.manifest import Manifest, quality_of, rungs_of
 from airgs_codec.package.region import RegionSummary, world_words
-from airgs_codec.package.tables import Atlas, LeftOut, RungQuality
+from airgs_codec.package.tables import LeftOut, RungQuality
 
-NOTHING = ("0", "0 %", "-", "", "…")  # cells of a column that this scene does not need
+UNUSED = ("0", "0 %", "-", "", "…")  # cells of a column that this scene does not need
 MOST_GROUPS = 12  # in the table of groups
-NAMES = {"gaussians": "Gaussians", "updates": "rows are never updated"}  # of what an encoder leaves out
-FEW = 4  # groups of which each has a line of its own, where something was left out
+LEFT_OUT = {"gaussians": "Gaussians", "updates": "rows are never updated"}
 Row = dict[str, Any]
 Columns = dict[str, tuple[str, Form]]
 
@@ -40,22 +37,24 @@ def kilobytes(size: float) -> str:
     return f"{size / 1e3:.2f}"
 
 
-BYTES: Columns = {"bytes_per_frame": ("kB/frame", kilobytes)}
-RATE: Columns = {"mean_bps": ("Mbit/s", lambda rate: f"{rate / 1e6:.2f}")}
+def megabits(rate: float) -> str:
+    return f"{rate / 1e6:.2f}"
+
+
 QUALITY: Columns = {
     "psnr": ("PSNR dB", ".2f"), "low": ("worst 5 %", ".1f"), "ssim": ("SSIM", ".4f"), "delta_e": ("ΔE", ".2f")
 }  # fmt: skip
-GAUSSIANS: Columns = {"gaussians": ("Gaussians", span)}
-STEPS: Columns = {"factor": ("steps", "x{:g}".format)}
-GROUPS: Columns = {
-    "group": ("group", ""), "frames": ("frames", ""), "gaussians": ("Gaussians", "d"), "base": ("base", ""),
-    "static": ("static", "d"), "segments": ("segments", ""),
+COLUMNS: Columns = QUALITY | {
+    "group": ("group", ""), "frames": ("frames", ""), "base": ("base", ""), "static": ("static", "d"),
+    "segments": ("segments", ""), "tier": ("keyframe tier", ""), "quality": ("quality", ""), "id": ("level", ""),
+    "rung": ("rung", ""), "best": ("", lambda best: "*" * best), "gaussians": ("Gaussians", span),
+    "factor": ("steps", "x{:g}".format), "pruned": ("pruned", lambda share: f"{100 * share:g} %"),
+    "bytes_per_frame": ("kB/frame", kilobytes), "mean_bps": ("Mbit/s", megabits), "peak_bps": ("peak", megabits),
 }  # fmt: skip
-KEYFRAMES: Columns = {"tier": ("keyframe tier", ""), "quality": ("quality", "")} | GAUSSIANS | STEPS | BYTES
-PRUNED: Columns = {"pruned": ("pruned", lambda share: f"{100 * share:g} %")}
-PEAK: Columns = {"peak_bps": ("peak", RATE["mean_bps"][1])}
-LEVELS: Columns = {"id": ("level", "")} | GAUSSIANS | PRUNED | STEPS | BYTES | RATE | PEAK
-RUNGS: Columns = {"rung": ("rung", "")} | BYTES | RATE | QUALITY
+GROUP_COLUMNS = ("group", "frames", "gaussians", "base", "static", "segments")
+KEYFRAME_COLUMNS = ("tier", "quality", "gaussians", "factor", "bytes_per_frame")
+LEVEL_COLUMNS = ("id", "gaussians", "pruned", "factor", "bytes_per_frame", "mean_bps", "peak_bps")
+RUNG_COLUMNS = ("rung", "bytes_per_frame", "mean_bps", *QUALITY)
 
 
 def summarise(m: Manifest, manifest_bytes: int) -> Row:
@@ -148,73 +147,53 @@ def bytes_by_kind(m: Manifest, manifest_bytes: int) -> dict[str, int]:
 
 
 def describe_left_out(m: Manifest) -> list[str]:
-    """Return a line for each thing that is not in the package; what concerns more than FEW groups alike is one line."""
-    lines = [*_decisions(m), *_constant(m)]
-    quiet = sum(not s.levels[0].file.bytes for s in m.segments)
-    if quiet:
+    """Return a line for each thing that is not in the package, and in how many groups."""
+    lines: list[str] = []
+    entries: dict[str, list[LeftOut]] = {}
+    for group in m.groups:
+        for entry in group.left_out:
+            entries.setdefault(entry.what, []).append(entry)
+    for what, some in entries.items():
+        error, saved = max(entry.error for entry in some), float(np.mean([entry.bytes for entry in some]))
+        cost = f"{psnr(error):.1f} dB by itself, at worst" if error > 0 else "no error"
+        count = f"{len(some)} groups: {span([entry.count for entry in some])}"
+        lines.append(f"{count} {LEFT_OUT.get(what, what)}: {cost}, {kilobytes(saved)} kB/frame saved")
+    missing: Counter[str] = Counter()  # channels of the top rung without a plane
+    keyframes = [(tier.qualities[0], KEYFRAME) for group in m.groups for tier in group.tiers]
+    for atlas, layout in [*keyframes, *((group.levels[0], DELTA) for group in m.groups)]:
+        without = set(range(len(atlas.centres) if atlas.rows else 0)) - set(atlas.planes)
+        names = layout.names(len(atlas.centres))
+        missing.update(f"{layout.kind} planes of {names[channel]}" for channel in without)
+    lines += [f"{count} {what}: constant within half a step" for what, count in missing.items()]
+    if quiet := sum(not s.levels[0].file.bytes for s in m.segments):
         lines.append(f"{quiet} delta segments: nothing moves in them by more than half a step")
     if m.sh_degree == 0:
         lines.append("SH rest: the scene has none")
     return lines
 
 
-def _decisions(m: Manifest) -> Iterator[str]:
-    entries: dict[str, list[tuple[int, LeftOut]]] = {}
-    for number, group in enumerate(m.groups):
-        for entry in group.left_out:
-            entries.setdefault(entry.what, []).append((number, entry))
-    for what, same in entries.items():
-        for some in [same] if len(same) > FEW else [[one] for one in same]:
-            error = max(entry.error for _, entry in some)
-            worst = "at worst " if len(some) > 1 and error > 0 else ""
-            alone = f"{worst}{psnr(error):.1f} dB by itself" if error > 0 else "no error"
-            saved = float(np.mean([entry.bytes for _, entry in some]))
-            count = span([entry.count for _, entry in some])
-            where = f"group {some[0][0]}" if len(some) == 1 else f"{len(some)} groups"
-            yield f"{where}: {count} {NAMES.get(what, what)}: {alone}, {kilobytes(saved)} kB/frame saved"
-
-
-def _constant(m: Manifest) -> Iterator[str]:
-    """Yield tiers without rows, and channels without a plane in the top rung."""
-    groups: dict[str, list[int]] = {}
-    for i, group in enumerate(m.groups):
-        for t, tier in enumerate(group.tiers):
-            if not tier.count:
-                groups.setdefault(f"keyframe tier T{t}: it has no rows", []).append(i)
-        keyframes = [(f"keyframe T{t} Q0", tier.qualities[0], KEYFRAME) for t, tier in enumerate(group.tiers)]
-        for name, atlas, layout in (*keyframes, ("delta L0", group.levels[0], DELTA)):
-            if text := _without_plane(atlas, layout):
-                groups.setdefault(f"planes of {name}: {text} (constant within half a step)", []).append(i)
-    for text, where in groups.items():
-        yield from [f"{len(where)} groups: {text}"] if len(where) > FEW else [f"group {i}: {text}" for i in where]
-
-
-def _without_plane(atlas: Atlas, layout: Layout) -> str:
-    """Return how many channels of which attribute have no plane; empty when all have one."""
-    missing = set(range(len(atlas.centres) if atlas.rows else 0)) - set(atlas.planes)
-    counts = Counter(layout.names(1 + max(missing))[channel] for channel in sorted(missing))
-    return ", ".join(f"{count} {attribute}" for attribute, count in counts.items())
-
-
 def format_summary(m: Manifest, manifest_bytes: int) -> str:
-    """Return all tables of a package, and what was left out and repaired."""
     s = summarise(m, manifest_bytes)
     kinds = [f"{kind} {kilobytes(size / m.frames)}" for kind, size in s["top_rung_bytes"].items()]
     groups = [
-        g | {"group": i, "frames": f"{g['frames'][0]}-{g['frames'][1] - 1}", "base": g["base"] or ""}
+        g
+        | {"group": i, "frames": f"{g['frames'][0]}-{g['frames'][1] - 1}", "base": g["base"] or ""}
+        | {"gaussians": [g["gaussians"]]}
         for i, g in enumerate(s["groups"])
     ]
     if len(groups) > MOST_GROUPS:
-        groups = [*groups[: MOST_GROUPS - 2], dict.fromkeys(GROUPS, "…"), groups[-1]]
+        groups = [*groups[: MOST_GROUPS - 2], dict.fromkeys(GROUP_COLUMNS, "…"), groups[-1]]
     lines = [
         *_head(m, s),
         "",
-        _table(groups, GROUPS).to_text(),
+        _table(groups, GROUP_COLUMNS).to_text(),
         "",
-        _table([one for one in s["keyframes"] if one["gaussians"][1]], KEYFRAMES).to_text(),  # others have no files
+        _table(
+            [one for one in s["keyframes"] if one["gaussians"][1]], KEYFRAME_COLUMNS
+        ).to_text(),  # others have no files
         "",
         "levels, without keyframes:",
-        _table(s["levels"], LEVELS).to_text(),
+        _table(s["levels"], LEVEL_COLUMNS).to_text(),
         "",
         "everything a viewer fetches (*: the ladder; the others are beaten by a mixture of two on it):",
         rung_table(s["rungs"]).to_text(),
@@ -261,19 +240,17 @@ def _head(m: Manifest, s: Row) -> list[str]:
     ]
 
 
-def _table(rows: Sequence[Row], columns: Columns, name: str = "") -> Table:
-    """Return a table without the columns after the first in which no row has anything."""
-    cells = zip(*Table("", rows, columns).lines()[1:], strict=True)
-    used = [any(cell not in NOTHING for cell in column) for column in cells]
-    shown = {key: column for i, (key, column) in enumerate(columns.items()) if not i or used[i]}
-    return Table(name, rows, shown)
+def _table(rows: Sequence[Row], keys: Sequence[str], name: str = "") -> Table:
+    """Return a table of these keys of COLUMNS, without those after the first in which no row has anything."""
+    cells = zip(*Table("", rows, {key: COLUMNS[key] for key in keys}).lines()[1:], strict=True)
+    used = [any(cell not in UNUSED for cell in column) for column in cells]
+    return Table(name, rows, {key: COLUMNS[key] for i, key in enumerate(keys) if not i or used[i]})
 
 
 def rung_table(rungs: Sequence[Row], marked: bool = True) -> Table:
-    """Return rungs as a table, those that players choose marked."""
     rows = [rung | {"rung": f"{rung['keyframe']} + {rung['delta']}"} for rung in rungs]
-    mark: Columns = {"best": ("", lambda best: "*" * best)}
-    return _table(rows, RUNGS | (mark if marked else {}), "Rungs; *: what players choose among")
+    keyframes = (*RUNG_COLUMNS, "best") if marked else RUNG_COLUMNS
+    return _table(rows, keyframes, "Rungs; *: what players choose among")
 
 
 def plot_ladder(m: Manifest, manifest_bytes: int, path: Path) -> None:
@@ -281,14 +258,14 @@ def plot_ladder(m: Manifest, manifest_bytes: int, path: Path) -> None:
 
     Raises ConfigError.
     """
-    Picture(path.name, "", partial(_draw, m, manifest_bytes), (11, 4.2)).write(path)
 
+    def draw(figure: Any) -> None:
+        rungs, time = figure.subplots(1, 2)
+        plot_rungs(rung_rows(m, manifest_bytes), rungs)
+        rungs.set_title("Rungs (grey: others show more)")
+        _plot_bytes(time, m)
 
-def _draw(m: Manifest, manifest_bytes: int, figure: Any) -> None:
-    rungs, time = figure.subplots(1, 2)
-    plot_rungs(rung_rows(m, manifest_bytes), rungs)
-    rungs.set_title("Rungs (grey: others show more)")
-    _plot_bytes(time, m)
+    Picture(path.name, "", draw, (11, 4.2)).write(path)
 
 
 def plot_rungs(rungs: Sequence[Row], axes: Any) -> None:
@@ -313,7 +290,10 @@ def _plot_bytes(axes: Any, m: Manifest) -> None:
     edges = np.arange(m.frames + 1) - 0.5
     for j, level in enumerate(m.levels):
         name = f"{level.id} ({100 * level.pruned:g} % pruned, x{level.factor:g})"
-        axes.stairs(_picture_bytes(m, j) / 1e3, edges, label=name, linewidth=1.4, baseline=None)
+        sizes = np.zeros(m.frames)  # H.264 bytes of each frame; 0 where a segment has no files
+        for segment in m.segments:
+            sizes[segment.start : segment.stop] = segment.levels[j].frame_bytes or 0
+        axes.stairs(sizes / 1e3, edges, label=name, linewidth=1.4, baseline=None)
     lengths = [group.stop - group.start for group in m.groups]
     keyframes = [sum(m.bytes_of(m.keyframe_files(g, t, 0)) for t in range(m.tiers)) for g in range(len(lengths))]
     name = f"keyframes in {m.qualities[0].id}, spread over their group"
@@ -326,12 +306,3 @@ def _plot_bytes(axes: Any, m: Manifest) -> None:
     axes.locator_params(axis="x", integer=True)
     axes.legend(loc="upper center", ncols=2)
     axes.set_axisbelow(True)
-
-
-def _picture_bytes(m: Manifest, level: int) -> NDArray[np.float64]:
-    """Return the H.264 bytes of each frame of a level, (F,); 0 where a segment has no files."""
-    sizes = np.zeros(m.frames)
-    for segment in m.segments:
-        if pictures := segment.levels[level].frame_bytes:
-            sizes[segment.start : segment.stop] = pictures
-    return sizes

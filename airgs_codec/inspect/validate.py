@@ -1,10 +1,10 @@
-"""Is a package whole and does it decode? Findings instead of exceptions."""
+"""Is a package whole and does it decode? Errors are returned, not raised."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 
@@ -26,19 +26,7 @@ from airgs_codec.places.whole import finished_path
 from airgs_codec.scene.gaussians import Gaussians
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing that is wrong; `reason` is a word of FORMAT.md's table of refusals."""
-
-    reason: str
-    where: str
-    detail: str
-
-    def __str__(self) -> str:
-        return f"{self.where}: {self.detail} [{self.reason}]"
-
-
-def validate(path: str | Path) -> list[Finding]:
+def validate(path: str | Path) -> list[FormatError]:
     """Return everything that is wrong with the package at a path or an address: an empty list for a good one.
 
     Checks the tables, the MPD against them, every file's length and digest, that there is no other file, and that every
@@ -48,43 +36,39 @@ def validate(path: str | Path) -> list[Finding]:
     return validate_files(place_at(path))
 
 
-def validate_files(files: Place) -> list[Finding]:
+def validate_files(files: Place) -> list[FormatError]:
     try:
         package = open_files(files)
     except FormatError as error:
-        return [_finding(error)]
-    findings = list(_check_tables(package))
-    if findings:  # without all tables nothing can be said of what they list
-        return findings
-    findings = [*_check_files(package), *_check_measures(package)]
-    findings += _attempt(MPD_NAME, partial(_check_mpd, package))
-    if not findings:  # broken files would only repeat themselves
-        findings = list(_check_decoding(package))
+        return [error]
+    errors = list(_check_tables(package))
+    if errors:  # without all tables nothing can be said of what they list
+        return errors
+    errors = [*_check_files(package), *_check_measures(package)]
+    errors += _attempt(MPD_NAME, partial(_check_mpd, package))
+    if not errors:  # broken files would only repeat themselves
+        errors = list(_check_decoding(package))
         for path in package.manifest.shared_files():
-            findings += _attempt(path, partial(check_shared, package, path))
-    return findings
+            errors += _attempt(path, partial(check_shared, package, path))
+    return errors
 
 
-def exceeded(measured: Iterable[Measured]) -> list[Finding]:
+def exceeded(measured: Iterable[Measured]) -> list[FormatError]:
     """Return every `max_error` that a comparison with the original (`errors.measure_errors`) found too small."""
     return [
-        Finding("bound_exceeded", m.where, f"{m.attribute}: max_error {m.bound:g}, measured {m.error:g}")
+        FormatError("bound_exceeded", m.where, f"{m.attribute}: max_error {m.bound:g}, measured {m.error:g}")
         for m in measured
         if m.error > m.bound
     ]
 
 
-def _finding(error: FormatError) -> Finding:
-    return Finding(error.reason, error.where, error.detail)
-
-
-def _attempt(where: str, work: Callable[[], object]) -> list[Finding]:
+def _attempt(where: str, work: Callable[[], object]) -> list[FormatError]:
     try:
         work()
     except FormatError as error:
-        return [_finding(error)]
+        return [error]
     except (AirgsError, OverflowError) as error:  # a group without keyframes; a number that fits no array
-        return [Finding("bad_value", where, str(error))]
+        return [FormatError("bad_value", where, str(error))]
     return []
 
 
@@ -95,58 +79,51 @@ def _check_mpd(package: Package) -> None:
     check_mpd(read(), package.manifest)
 
 
-def _check_tables(package: Package) -> Iterator[Finding]:
+def _check_tables(package: Package) -> Iterator[FormatError]:
     """Check that every page and group table can be read, and that the group its keyframes are differences to fits."""
     m = package.manifest
     for number in m.groups.places.sweep():
         if isinstance(number, FormatError):
-            yield _finding(number)
+            yield number
         else:
             yield from _attempt(group_path(number + 1), partial(m.base_of, number))
 
 
-def _check_files(package: Package) -> Iterator[Finding]:
+def _check_files(package: Package) -> Iterator[FormatError]:
     listed = set(package.manifest.files())
     for relative in sorted(listed):
-        try:
-            package.read(relative)
-        except FormatError as error:
-            yield _finding(error)
+        yield from _attempt(relative, partial(package.read, relative))
     stills: dict[str, bytes] = {}
     yield from _attempt(MPD_NAME, lambda: stills.update(still_files(package.manifest)))
     for relative, data in stills.items():
         yield from _attempt(relative, partial(read_file, package.files, relative, file_entry(data)))
     for relative in package.files.paths():
         if relative not in listed | stills.keys() | {JSON_NAME, MPD_NAME}:
-            yield from _check_stranger(package, relative)
+            yield from _attempt(relative, partial(_check_unlisted, package, relative))
 
 
-def _check_stranger(package: Package, relative: str) -> Iterator[Finding]:
-    """Find a file that is not listed, a link or neither; but not what a run that was killed may leave."""
-    try:
-        found = package.files.open(relative)
-    except FormatError as error:
-        yield _finding(error)
-        return
+def _check_unlisted(package: Package, relative: str) -> None:
+    """Raise FormatError for a file that is not listed and for a link, but not for what a killed run may leave."""
     finished = finished_path(relative)
     left = finished == POSTER_NAME or (finished != relative and belongs(finished))
-    if found is None or not left:
-        yield Finding("foreign_file", relative, "not listed in the tables")
+    if package.files.open(relative) is None or not left:
+        raise FormatError("foreign_file", relative, "not listed in the tables")
 
 
-def _check_measures(package: Package) -> Iterator[Finding]:
+def _check_measures(package: Package) -> Iterator[FormatError]:
     """Check that the H.264 bytes of the frames of a segment are no more than the file that holds them."""
     for s, segment in enumerate(package.manifest.segments):
         for j, level in enumerate(segment.levels):
             if (total := sum(level.frame_bytes)) > level.file.bytes:
                 detail = f"frame_bytes add up to {total}, the file has {level.file.bytes}"
-                yield Finding("size_mismatch", f"segment {s} L{j}", detail)
+                yield FormatError("size_mismatch", f"segment {s} L{j}", detail)
 
 
-def _check_decoding(package: Package) -> Iterator[Finding]:
+def _check_decoding(package: Package) -> Iterator[FormatError]:
     m = package.manifest
     for g in range(len(m.groups)):
-        yield from _attempt(f"group {g}", partial(_decode_sound, package, g))
+        sound = partial(decode_group, package, g), partial(check_sound, package, g)
+        yield from _attempt(f"group {g}", sound[0]) or _attempt(f"group {g}", sound[1])
         for q in range(len(m.qualities)):
             yield from _attempt(f"group {g}", partial(_decode_keyframe, package, g, q))
         try:
@@ -157,11 +134,6 @@ def _check_decoding(package: Package) -> Iterator[Finding]:
         for s in m.segments_of(g):
             for j in range(len(m.levels)):
                 yield from _attempt(f"segment {s}", partial(_decode_delta, package, s, j, base))
-
-
-def _decode_sound(package: Package, group: int) -> None:
-    decode_group(package, group)
-    check_sound(package, group)
 
 
 def _decode_keyframe(package: Package, group: int, quality: int) -> None:
@@ -179,21 +151,22 @@ def _decode_keyframe(package: Package, group: int, quality: int) -> None:
 def _decode_delta(package: Package, index: int, level: int, base: Canonical) -> None:
     m = package.manifest
     segment = m.segments[index]
-    length, sloped = segment.stop - segment.start, bool(segment.levels[level].slopes)
+    length, linear = segment.stop - segment.start, bool(segment.levels[level].slopes)
     for media in m.delta_files(index, level):
         with np.errstate(all="ignore"):
             for frame in decode_segment(package, index, base, level, range(length)):
                 _expect_finite(frame, media)
         atlas = m.groups[m.group_of(index)].levels[level]
-        _expect_pictures(package, media, atlas, length, sloped)
-        check_segment(package.read(media), media, segment.start * m.frame_ticks, m.frame_ticks, atlas.pages, sloped)
+        _expect_pictures(package, media, atlas, length, linear)
+        check_segment(package.read(media), media, segment.start * m.frame_ticks, m.frame_ticks, atlas.pages, linear)
 
 
-def _expect_pictures(package: Package, media: str, atlas: Atlas, count: int, sloped: bool) -> None:
+def _expect_pictures(package: Package, media: str, atlas: Atlas, count: int, linear: bool) -> None:
+    """Raise FormatError unless all luma is in range and as many pictures come; one more with linear motion."""
     _, pictures = open_segment(package.read(media), media, atlas.pages)
-    inside = [in_range(picture) for picture in (itertools.chain(*pictures.cut()) if sloped else pictures)]
-    if len(inside) != count + sloped:
-        raise FormatError("bad_picture", media, f"expected {count + sloped} pictures, got {len(inside)}")
+    inside = [in_range(picture) for picture in (itertools.chain(*pictures.cut()) if linear else pictures)]
+    if len(inside) != count + linear:
+        raise FormatError("bad_picture", media, f"expected {count + linear} pictures, got {len(inside)}")
     if not all(inside):
         where = f"picture {inside.index(False)}"
         raise FormatError("bad_picture", media, f"expected luma of {DARKEST} to {BRIGHTEST}, {where} has other samples")

@@ -5,22 +5,21 @@ now serve later. The bound here is a multiple-choice knapsack with prefix constr
 link has carried when slot k is complete, F_k >= max(F_{k-1}, A(release_k)) + bytes_k and F_k <= A(deadline_k), where A
 is the integral of the trace. Any player that shows its slots at those deadlines and requests none before its release
 (the limit of its buffer) satisfies it, whatever else it fetched, replaced or waited for; so its optimum, and that of
-its linear relaxation, is no less than what the player reached. Slots need not be fetched in order: deadlines and
-releases ascend together, and then the order of deadlines is as good as any.
+its linear relaxation, is no less than what the player reached. Deadlines and releases ascend together, so that the
+order of deadlines is as good as any. Where keyframes of a group are coded as differences from those of another, its
+base, keyframes of the base are fetched too, unless an earlier slot of the same loop over the sequence had them.
 
-Where the keyframes of a group are differences to another one, the base, the keyframes of the base are fetched for it as
-well, but for those that an earlier slot of the same loop over the sequence had.
-
-S slots, R rungs, Q keyframe qualities, K keyframe tiers. Sizes are kB inside the programme, or larger units where
-segments are gigabytes, so that its numbers are of one order.
+S slots, R rungs, Q keyframe qualities, K keyframe tiers. Sizes are in kB or larger units, so that numbers are of one
+order.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +27,10 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.offers import NONE, Keyframe, Keyframes, SegmentOffer
+from airgs_codec.play.offers import NO_KEYFRAMES, Keyframe, Keyframes, SegmentOffer
 
 ROUNDING = 1e-7  # share of a capacity that is added to it: sums of floats must not make a session impossible
-LARGEST = 1e6  # units that a delta segment may have: past 1e11 HiGHS finds no solution where there is one
-_Keyframe = tuple[int, int]  # keyframe quality and tier
+MOST_UNITS = 1e6  # of a delta segment: past 1e11 HiGHS finds no solution where there is one
 Terms = list[tuple[int, float]]  # (column of a variable, its coefficient)
 Row = tuple[Terms, float, float]  # low <= sum of coefficient x variable <= high
 
@@ -46,41 +44,29 @@ class Slot:
     capacity: float  # bytes the link has carried when the last byte must have passed
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Horizon:
-    """What is to be chosen: slots in the order in which they are shown.
-
-    `decoded` are keyframes that need not be fetched in the loop of the first slot. `idle_bytes` is what the link could
-    have carried while it waits for the next request, per slot after the first: 0 for a player that sends its next
-    request a round trip before the last batch ends, and in a bound.
-    """
-
-    slots: tuple[Slot, ...]
-    decoded: Keyframes = NONE
-    idle_bytes: float = 0.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Schedule:
-    """A solution: what is shown in every slot."""
-
+class Solution(NamedTuple):
     quality: float  # dB, the mean over time of the slots' PSNR
     first_bytes: float  # fetched for the first slot
     rungs: NDArray[np.float64]  # (K, R) shares of each slot; 0 and 1 when integer
 
 
-def solve_horizon(horizon: Horizon, integer: bool = False) -> Schedule | None:
-    """Find the best schedule by linear or integer programme (HiGHS); None if even the smallest rungs come too late.
+def solve_horizon(
+    horizon: Sequence[Slot], decoded: Keyframes = NO_KEYFRAMES, idle_bytes: float = 0.0, integer: bool = False
+) -> Solution | None:
+    """Find what to show by linear or integer programme (HiGHS); None if even the smallest rungs come too late.
 
-    Raises ConfigError for a horizon without slots.
+    `horizon`: slots in the order in which they are shown. `decoded` are keyframes that need not be fetched in the loop
+    of the first slot. `idle_bytes` is what the link could have carried while it waits for the next request, per slot
+    after the first: 0 for a player that sends its next request a round trip before the last batch ends, and in a
+    bound. Raises ConfigError for a horizon without slots.
     """
-    if not horizon.slots:
+    if not horizon:
         raise ConfigError("horizon: expected at least one slot")
-    programme = _Programme(horizon)
-    slots, width, rungs = range(len(horizon.slots)), programme.width, programme.rungs
-    total = sum(slot.offer.seconds for slot in horizon.slots)
+    programme = _Programme(horizon, decoded, idle_bytes)
+    slots, width, rungs = range(len(horizon)), programme.width, programme.rungs
+    total = sum(slot.offer.seconds for slot in horizon)
     costs, upper = np.zeros((len(slots), width)), np.ones((len(slots), width))
-    for k, slot in enumerate(horizon.slots):
+    for k, slot in enumerate(horizon):
         costs[k, :rungs] = -slot.offer.psnr * slot.offer.seconds / total
         upper[k, :rungs] = [rung.allowed for rung in slot.offer.rungs]
         upper[k, -1] = slot.capacity * (1 + ROUNDING) / programme.unit
@@ -98,7 +84,7 @@ def solve_horizon(horizon: Horizon, integer: bool = False) -> Schedule | None:
         return None
     first = sum(size * result.x[column] for column, size in programme.fetched(0))
     shares = result.x.reshape(len(slots), width)[:, :rungs]
-    return Schedule(float(-result.fun), programme.unit * float(first), shares)
+    return Solution(float(-result.fun), programme.unit * float(first), shares)
 
 
 class _Programme:
@@ -108,9 +94,9 @@ class _Programme:
     Where any group has a base, Q K shares of keyframes of the base that are decoded come before F_k.
     """
 
-    def __init__(self, horizon: Horizon) -> None:
-        self._horizon = horizon
-        self._offers = [slot.offer for slot in horizon.slots]
+    def __init__(self, horizon: Sequence[Slot], decoded: Keyframes, idle_bytes: float) -> None:
+        self._horizon, self._decoded, self._idle_bytes = horizon, decoded, idle_bytes
+        self._offers = [slot.offer for slot in horizon]
         first = self._offers[0]
         own = sorted(
             {of.keyframe[1:] for rung in first.rungs for of in rung.keyframes if of.keyframe[0] == first.group}
@@ -122,20 +108,22 @@ class _Programme:
         self._bytes = {of.keyframe: of.bytes for offer in self._offers for rung in offer.rungs for of in rung.keyframes}
         kinds = 1 if all(base is None for _, base in self._groups) else 2
         largest = max(float(rung.delta_bytes) for offer in self._offers for rung in offer.rungs)
-        self.unit = max(1e3, largest / LARGEST)  # bytes
+        self.unit = max(1e3, largest / MOST_UNITS)  # bytes
         self.width = self.rungs + kinds * len(own) + 1
 
-    def _keyframe(self, k: int, of: int, keyframe: _Keyframe) -> int:
+    def _keyframe(self, k: int, of: int, keyframe: tuple[int, int]) -> int:
         """Return the column of a keyframe's decoded share, for slot k's group (of = 0) or its base (of = 1)."""
         return k * self.width + self.rungs + of * len(self._column) + self._column[keyframe]
 
-    def _keyframes(self, k: int) -> Iterator[tuple[int, int, _Keyframe]]:
-        """Yield all keyframes that a slot may need: 0 for its group, 1 for its base; the group; (quality, tier)."""
+    def _keyframes(self, k: int) -> Iterator[tuple[Keyframe, int, int | None]]:
+        """Yield all keyframes that slot k may need, each with its column and its column in the last slot before k."""
         for of, group in enumerate(self._groups[k]):
             if group is not None:
-                yield from ((of, group, key) for key in self._column)
+                yield from (
+                    ((group, *key), self._keyframe(k, of, key), self._before(k, of, key)) for key in self._column
+                )
 
-    def _before(self, k: int, of: int, keyframe: _Keyframe) -> int | None:
+    def _before(self, k: int, of: int, keyframe: tuple[int, int]) -> int | None:
         """Return the column of the same keyframe in the last slot before k that may need it, None if none does."""
         if of == 0:
             return self._keyframe(k - 1, of, keyframe) if k and not self._offers[k].starts_group else None
@@ -149,36 +137,31 @@ class _Programme:
 
     def rows(self, k: int) -> Iterator[Row]:
         """Yield the constraints of slot k: one rung with its keyframes, downloaded after its release and slot k - 1."""
-        slot, first, carried = self._horizon.slots[k], k * self.width, (k + 1) * self.width - 1
+        slot, first, carried = self._horizon[k], k * self.width, (k + 1) * self.width - 1
         yield [(first + rung, 1.0) for rung in range(self.rungs)], 1.0, 1.0
         users: dict[Keyframe, Terms] = defaultdict(list)  # minus the share of every rung that needs a keyframe
         for number, rung in enumerate(slot.offer.rungs):
             for needed in rung.keyframes:
                 users[needed.keyframe].append((first + number, -1.0))
-        for of, group, keyframe in self._keyframes(k):
-            share, before, using = (
-                self._keyframe(k, of, keyframe),
-                self._before(k, of, keyframe),
-                users[group, *keyframe],
-            )
-            if using:
-                yield [(share, 1.0), *using], 0.0, np.inf
+        for keyframe, share, before in self._keyframes(k):
+            if users[keyframe]:
+                yield [(share, 1.0), *users[keyframe]], 0.0, np.inf
             if before is not None:
                 yield [(share, 1.0), (before, -1.0)], 0.0, np.inf
         done = [(carried, 1.0), *((column, -size) for column, size in self.fetched(k))]
         yield done, slot.released / self.unit, np.inf
         if k:
-            yield [*done, (first - 1, -1.0)], self._horizon.idle_bytes / self.unit, np.inf
+            yield [*done, (first - 1, -1.0)], self._idle_bytes / self.unit, np.inf
 
     def fetched(self, k: int) -> Terms:
         """Return the bytes fetched for slot k, in units, as coefficients of the variables."""
         rungs = self._offers[k].rungs
         fetched = [(k * self.width + number, rung.delta_bytes / self.unit) for number, rung in enumerate(rungs)]
-        for of, group, keyframe in self._keyframes(k):
-            if not self._loops[k] and (group, *keyframe) in self._horizon.decoded:
+        for keyframe, share, before in self._keyframes(k):
+            if not self._loops[k] and keyframe in self._decoded:
                 continue
-            size, before = self._bytes.get((group, *keyframe), 0) / self.unit, self._before(k, of, keyframe)
-            fetched.append((self._keyframe(k, of, keyframe), size))
+            size = self._bytes.get(keyframe, 0) / self.unit
+            fetched.append((share, size))
             if before is not None:
                 fetched.append((before, -size))
         return fetched

@@ -1,6 +1,6 @@
 """What happens in a session, as values, and where batches come from: the seam between a player and a link.
 
-A downloader alone knows time and bytes; the player learns both from what it returns, and yields events. A link is
+Only a downloader knows time and bytes; the player learns both from what it returns, and yields events. A link is
 simulated here; `http.HttpDownloader` is the other implementation. Times are seconds from the first request.
 """
 
@@ -17,7 +17,7 @@ from airgs_codec.play.ladder import Decision
 from airgs_codec.play.offers import Batch, Offers
 from airgs_codec.play.trace import Link
 
-CHECK_S = 0.5  # a download is looked at so often, and given so long before the first look
+CHECK_S = 0.5  # between looks at a download, and before the first one
 
 
 class BatchKind(StrEnum):
@@ -31,8 +31,6 @@ class BatchKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A batch of files to be fetched together."""
-
     kind: BatchKind
     position: int  # of the segment in the session
     rung: int
@@ -81,8 +79,6 @@ class Arrived:
 
 @dataclass(frozen=True, slots=True)
 class Replaced:
-    """A replacement took the place of a buffered segment."""
-
     position: int
     before: int  # rung
     after: int  # rung
@@ -90,22 +86,18 @@ class Replaced:
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """No rung of a segment can be had."""
-
     position: int
     at_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """A session ends before its package says so."""
-
     at_s: float
     why: str
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class Displayed:
     """A segment's time on the screen; rung None: it was lost, the last picture stands."""
 
     segment: int  # in the package
@@ -118,7 +110,7 @@ class Shown:
     psnr: float | None  # dB; None: lost or not measured
 
 
-Event = Arrived | Replaced | Lost | Cut | Shown
+Event = Arrived | Replaced | Lost | Cut | Displayed
 Result = TypeVar("Result")
 Steps = Generator[Event, None, Result]  # a part of a session, which ends with a result
 
@@ -168,7 +160,7 @@ class SimulatedDownloader:
         """See Downloader. Raises TransportError for a trace that ends too soon or is too slow."""
         sizes = {path: self._wire_size(path) for path in request.batch.files}
         first_s, expected = max(self._free_s, request.sent_s) + request.latency_s, sum(sizes.values())
-        end_s, passed = self.link.passed_s(expected, first_s), float(expected)
+        end_s, passed = self.link.arrival_s(expected, first_s), float(expected)
         stopped = next(filter(give_up, self._looks(first_s, end_s, expected)), None) if give_up else None
         if stopped is not None:
             end_s, passed = stopped.at_s, stopped.bytes

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,14 +12,12 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.decoder.sound import decode_all
-from airgs_codec.errors import FormatError
 from airgs_codec.media.image import label, to_bytes
 from airgs_codec.media.movie import write_movie
 from airgs_codec.media.mp4 import SOUND_RATE
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import levelled, place_view, view_from
 from airgs_codec.package.tables import Region
-from airgs_codec.play.offers import Offers
 from airgs_codec.play.session import SessionLog
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera
@@ -29,16 +26,16 @@ from airgs_codec.scene.camera import resized
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
-MOST_PIXELS = 640  # of the longer side of a picture
+LONGER_SIDE = 640  # pixels of a picture, at most
 STEP_S = 2.0  # of a walk, from a place to the next
-CIRCLE, CORNERS = 0.5, 8  # where there is but one place: the radius of a circle about it, in reaches, and its stops
+CIRCLE_REACHES, CIRCLE_STOPS = 0.5, 8  # about a single place: radius in reaches, and stops
 
 
 def walk(log: SessionLog) -> list[Camera]:
     """Return the camera of every display tick, on a walk through the package's viewing region."""
     m = log.offers.manifest
     views = walk_through(levelled(m.region, m.world), np.arange(len(log.screen_ticks)) / log.offers.fps)
-    return [resized(view, MOST_PIXELS / max(view.width, view.height)) for view in views]
+    return [resized(view, LONGER_SIDE / max(view.width, view.height)) for view in views]
 
 
 def walk_through(region: Region, times: NDArray[np.float64]) -> list[Camera]:
@@ -53,8 +50,8 @@ def walk_through(region: Region, times: NDArray[np.float64]) -> list[Camera]:
         tour.append(left.pop(int(np.argmin([np.linalg.norm(last - [*p.position, *p.focus]) for p in left]))))
     stops = [*tour, *tour[-2::-1]]
     if len(tour) == 1:
-        right, down = place_view(region, tour[0]).world_to_camera[:2, :3] * CIRCLE * tour[0].reach
-        turns = 2 * np.pi * np.arange(CORNERS + 1) / CORNERS
+        right, down = place_view(region, tour[0]).world_to_camera[:2, :3] * CIRCLE_REACHES * tour[0].reach
+        turns = 2 * np.pi * np.arange(CIRCLE_STOPS + 1) / CIRCLE_STOPS
         ring = tour[0].position + np.cos(turns)[:, None] * right + np.sin(turns)[:, None] * down
         stops = [replace(tour[0], position=position.tolist()) for position in ring]
     whole, share = np.divmod(times / STEP_S % (len(stops) - 1), 1)
@@ -93,14 +90,6 @@ def _segment(package: Package, index: int, rung: tuple[int, int]) -> list[Gaussi
     return list(decode_segment(package, index, base, level, range(segment.stop - segment.start)))
 
 
-def _best(package: Package, c: Offers, segment: int) -> tuple[list[Gaussians], str]:
-    """Decode a segment at the best rung whose files are intact; returns its frames and a label."""
-    for name, rung in zip(c.names, c.rungs, strict=True):
-        with suppress(FormatError):
-            return _segment(package, segment, rung), f"best rung: {name}"
-    return [], "no rung can be had"
-
-
 def film(
     package: Package,
     log: SessionLog,
@@ -109,40 +98,29 @@ def film(
     progress: Progress = silent,
     renderer: Renderer = CPU,
 ) -> None:
-    """Write an H.264 film of the session: on the left what the viewer saw, with rung, quality, buffer and waiting, on
-    the right the same moment of the original, or of the best rung without one. Sound is silent during stalls.
-
-    Raises CodecError.
+    """Write an H.264 film of the session: what the viewer saw, with rung, quality and waiting; right of it the same
+    moment of the original, if there is one. Sound is silent during stalls. Raises CodecError.
     """
-    c, ticks, cameras = log.offers, log.screen_ticks, walk(log)
+    offers, ticks, cameras = log.offers, log.screen_ticks, walk(log)
 
     def draw(gaussians: Gaussians | None, camera: Camera) -> NDArray[np.uint8]:
         black = np.zeros((camera.height, camera.width, 3), np.uint8)
         return black if gaussians is None else to_bytes(renderer.render(gaussians, camera).rgb)
 
     def pictures() -> Iterator[NDArray[np.uint8]]:
-        best_of, best = -1, (list[Gaussians](), "")  # a segment, its frames and their name
-        beside: Gaussians | None
         for tick, (gaussians, entry) in enumerate(screen_frames(package, log)):
             progress("rendering the screen", tick, len(ticks))
             s, frame, camera = log.shown[entry], ticks[tick][1], cameras[tick]
-            waits = tick > 0 and ticks[tick] == ticks[tick - 1]
-            words = "lost" if s.rung is None else c.names[s.rung]
+            words = "lost" if s.rung is None else offers.names[s.rung]
             picture = label(draw(gaussians, camera), words + ("" if s.psnr is None else f"  {s.psnr:.1f} dB"))
-            if waits:
+            if tick and ticks[tick] == ticks[tick - 1]:
                 picture = label(picture, "waiting for data", 1)
-            at_s = log.shown[0].start_s + tick / c.fps
-            picture = buffer_bar(picture, buffered_s(log, at_s) / log.settings.buffer_s, waits)
             if original is not None:
-                beside, name = original.read(c.manifest.segments[s.segment].start + frame), "original"
-            else:
-                if s.segment != best_of:
-                    best_of, best = s.segment, _best(package, c, s.segment)
-                frames, name = best
-                beside = frames[frame] if frames else None
-            yield np.concatenate([picture, label(draw(beside, camera), name)], axis=1)
+                given = original.read(offers.manifest.segments[s.segment].start + frame)
+                picture = np.concatenate([picture, label(draw(given, camera), "original")], axis=1)
+            yield picture
 
-    write_movie(path, pictures(), c.manifest.fps, sound_of(package, log))
+    write_movie(path, pictures(), offers.manifest.fps, sound_of(package, log))
 
 
 def sound_of(package: Package, log: SessionLog) -> NDArray[np.int16] | None:
@@ -157,32 +135,14 @@ def sound_of(package: Package, log: SessionLog) -> NDArray[np.int16] | None:
     frames = [log.offers.span(log.shown[entry].segment)[0] + frame - first for entry, frame in log.screen_ticks]
     ends = [round(tick / m.fps * SOUND_RATE) for tick in range(len(frames) + 1)]
     heard = np.zeros((ends[-1], samples.shape[1]), np.int16)
-    begun = 0  # the tick since when frames follow one another
+    first_tick = 0  # since which frames follow one another
     for tick, frame in enumerate(frames):
         if tick and frame == frames[tick - 1]:
-            begun = tick + 1
+            first_tick = tick + 1
             continue
         if tick and frame != frames[tick - 1] + 1:
-            begun = tick
-        at = round(frames[begun] / m.fps * SOUND_RATE) - ends[begun]
+            first_tick = tick
+        at = round(frames[first_tick] / m.fps * SOUND_RATE) - ends[first_tick]
         part = samples[at + ends[tick] : at + ends[tick + 1]]
         heard[ends[tick] : ends[tick] + len(part)] = part
     return heard
-
-
-def buffered_s(log: SessionLog, at_s: float) -> float:
-    """Return the seconds of media that have arrived and are not shown yet at a moment."""
-    fps = log.offers.fps
-    arrived = sum(s.frames / fps for s in log.shown if s.ready_s <= at_s)
-    played = sum(min(max(at_s - s.start_s, 0.0), s.frames / fps) for s in log.shown)
-    return max(0.0, arrived - played)
-
-
-def buffer_bar(picture: NDArray[np.uint8], share: float, waits: bool) -> NDArray[np.uint8]:
-    """Return the (H, W, 3) picture with a bar along its lower edge: the filled share of the buffer; red in a stall."""
-    out = picture.copy()
-    height, width = picture.shape[:2]
-    thick = max(4, height // 60)
-    out[-thick:] = (150, 40, 30) if waits else (60, 60, 60)
-    out[-thick:, : round(width * min(1.0, share))] = (70, 170, 95)
-    return out

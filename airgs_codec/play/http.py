@@ -4,11 +4,10 @@ The files of a batch are requested at once, each over a connection of its own (H
 a round trip and then the link, as on the simulated one. What arrives is checked against the tables before it counts.
 
 A server that cannot be reached, answers nothing, or says that it is busy (429, 502, 503, 504), is waited for as long as
-`outage_s`, and people are told. Any other fault is the file's: after `attempts` of them the file cannot be had, as one
-with status 404 at once. A redirect is followed on the server itself, never to another scheme, host or port; the query
-of the package's address goes with every file. Servers may compress what they send, and unpack tables of groups: these
-are known by their first byte, and then by what they lead to. airgs.json, which is asked for again and again while a
-package grows, may come not at all where it is what came before (If-None-Match).
+`outage_s`. Any other fault is the file's: after `attempts` of them, or a status 404, it cannot be had. A redirect is
+followed on the server itself, never to another scheme, host or port; the query of the package's address goes with every
+file. Servers may compress what they send. airgs.json is asked for again and again while a
+package grows, with If-None-Match.
 """
 
 from __future__ import annotations
@@ -16,16 +15,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
-import gzip
 import itertools
 import math
 import os
 import random
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from types import SimpleNamespace
 from urllib.parse import quote, urlsplit
 
 import aiohttp
@@ -35,20 +32,12 @@ from airgs_codec._settings import documented, setting
 from airgs_codec.errors import ConfigError, FormatError, TransportError
 from airgs_codec.package.layout import JSON_NAME, group_path, locate
 from airgs_codec.package.manifest import Manifest, count_groups
-from airgs_codec.package.package import (
-    REPR_DIGEST,
-    check_file,
-    check_repr_digest,
-    folder_of,
-    is_unpacked,
-    open_manifest,
-)
+from airgs_codec.package.package import REPR_DIGEST, check_file, check_repr_digest, folder_of, open_manifest
 from airgs_codec.package.parse import MAX_TABLE_BYTES, inflate, parse_root
 from airgs_codec.package.tables import PAGE, FileEntry, Header, Root
 from airgs_codec.places.place import BUSY, CIRCLE, SILENCE_S, WEB, got_words, split_query, status_words
 from airgs_codec.play.downloader import CHECK_S, Arrival, BatchKind, GiveUp, Partial, Request, Retry
-from airgs_codec.play.metrics import SessionLog
-from airgs_codec.play.offers import NONE, Batch, Offers
+from airgs_codec.play.offers import Batch, Offers
 
 CONNECTIONS = 16  # at once
 GROWS = ("frames", "live", "rungs")  # what of the header changes while a package grows
@@ -85,7 +74,7 @@ class Transfer:
 
     first_byte_at: float | None = None
     answered_at: float = -math.inf  # when a file began to come last
-    told: bool = False  # that something is asked for again
+    reported: bool = False  # that something is asked for again
     wait_s: float = math.inf  # the shortest from a request to its first byte
     bytes: int = 0  # headers included
     whole: set[str] = field(default_factory=set)
@@ -98,12 +87,8 @@ class _Answer:
 
     def __init__(self, transfer: Transfer, timeout_s: float) -> None:
         self.asked_at, self.size = time.monotonic(), 0  # bytes that came, headers included
-        self.limit = asyncio.timeout(None)
+        self.limit = asyncio.timeout(timeout_s)
         self._transfer, self._timeout_s, self._since = transfer, timeout_s, 0
-
-    def restart(self) -> None:
-        self._since = 0
-        self.limit.reschedule(asyncio.get_running_loop().time() + self._timeout_s)
 
     def begin(self, response: aiohttp.ClientResponse) -> None:
         now, transfer = time.monotonic(), self._transfer
@@ -118,16 +103,16 @@ class _Answer:
         self._transfer.bytes += size
         self._since += size
         if self._since >= LEAST_BYTES:
-            self.restart()
+            self._since = 0
+            self.limit.reschedule(asyncio.get_running_loop().time() + self._timeout_s)
 
 
 class _PassingError(FormatError):
-    """An answer that did not come whole; another may."""
+    """An answer that did not come whole; another may. `away`: the server is, whatever the file."""
 
-    def __init__(self, path: str, words: str, away: bool = False, after_s: float = 0.0) -> None:
+    def __init__(self, path: str, words: str, away: bool = False) -> None:
         super().__init__("missing_file", path, words)
-        self.away = away  # the server, not the file
-        self.after_s = after_s  # when the server, which is busy, wants to be asked again
+        self.away = away
 
 
 class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
@@ -144,13 +129,14 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
         url: str,
         settings: HttpSettings | None = None,
         received: Callable[[str, bytes], object] | None = None,
-        told: Callable[[str], object] | None = None,
+        on_retry: Callable[[str], object] | None = None,
     ) -> None:
-        """`told` is called with a line of text when files of a batch are requested again."""
-        self._settings, self._received, self._told = settings or HttpSettings(), received, told
+        """`on_retry` is called with a line of text when files of a batch are requested again."""
+        self._settings, self._received, self._on_retry = settings or HttpSettings(), received, on_retry
         self._url, self._query = _checked(url)
         self._tables = RemoteTables()
         self._tag: str | None = None  # entity tag of airgs.json, once it was accepted, '' without one
+        self._connections = asyncio.Semaphore(CONNECTIONS)
         self._runner = asyncio.Runner()
         self._session = self._runner.run(self._connect())
         self._zero: float | None = None  # of the clock
@@ -164,11 +150,10 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
 
     @property
     def rtt_s(self) -> float:
-        """Return the shortest wait for a first byte so far in seconds, 0 before there is one."""
         return self._rtt_s if self._rtt_s < math.inf else 0.0
 
     def open(self) -> Offers:
-        """Fetch airgs.json, which the player's first request then finds there. The offers grow with the tables.
+        """Fetch airgs.json, which answers the player's first request. Return offers, which grow with the tables.
 
         A session over a growing package begins with its newest group. Raises FormatError, TransportError where there is
         no server.
@@ -183,33 +168,16 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
         return c
 
     def _fetch_first(self, path: str) -> None:
-        arrival = self._fetch_tables([path])
+        arrival = self.fetch(Request(BatchKind.TABLES, 0, 0, Batch(tables=(path,)), 0.0, 0.0))
         for error in arrival.refused.values():
             raise FormatError(error.reason, f"{self._url}/{error.where}", error.detail)
         self._opened[path,] = arrival
-
-    def _fetch_tables(self, paths: Sequence[str]) -> Arrival:
-        request = Request(BatchKind.TABLES, 0, 0, Batch(tables=tuple(paths)), 0.0, 0.0)
-        return self._runner.run(self._fetch(request, None))
 
     def fetch(self, request: Request, give_up: GiveUp | None = None) -> Arrival:
         """See Downloader. Raises TransportError for a server that is away for too long."""
         if opened := self._opened.pop(request.batch.files, None):
             return replace(opened, request=request)
         return self._runner.run(self._fetch(request, give_up))
-
-    def fetch_beside(self, log: SessionLog) -> None:
-        """Fetch all tables and the best rungs for a film of a session, as far as they can be had."""
-        c, pages = log.offers, set[str]()
-        places = c.manifest.groups.places
-        with contextlib.suppress(FormatError):  # a page cannot be had
-            while missing := places.missing_pages(range(places.segments), pages):
-                self._fetch_tables(missing)
-                pages.update(missing)
-            self._fetch_tables([group_path(number + 1) for number in range(places.groups)])
-        for segment in dict.fromkeys(shown.segment for shown in log.shown):
-            with contextlib.suppress(FormatError):  # its table cannot be had
-                self._fetch_tables(c.offer(segment).missing(0, NONE).files)
 
     @property
     def _offers(self) -> Offers:
@@ -218,27 +186,23 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
         return self._tables.offers
 
     async def _connect(self) -> aiohttp.ClientSession:
-        """Bodies come as they are: the tables list digests of what is on the server."""
-
-        async def sent(session: object, context: SimpleNamespace, event: object) -> None:
-            context.trace_request_ctx.restart()
-
-        trace = aiohttp.TraceConfig()
-        trace.on_request_headers_sent.append(sent)
+        """Return a session whose bodies come as they are: tables list digests of what is on the server."""
         return aiohttp.ClientSession(
-            connector=aiohttp.TCPConnector(limit=CONNECTIONS),
-            timeout=aiohttp.ClientTimeout(total=None, sock_connect=self._settings.timeout_s),
+            connector=aiohttp.TCPConnector(limit=0),
+            timeout=aiohttp.ClientTimeout(total=None),
             auto_decompress=False,
             headers={"Accept-Encoding": "identity"},
-            trace_configs=[trace],
         )
 
     async def _fetch(self, request: Request, give_up: GiveUp | None) -> Arrival:
-        await self._wait_until(request.sent_s)
+        if (left_s := request.sent_s - self._now_s()) > 0:
+            if self._settings.as_fast and not self._offers.live:
+                self._skipped_s += left_s
+            else:
+                await asyncio.sleep(left_s)
         transfer, files = Transfer(), request.batch.files
         limits = [self._tables.limit(path) for path in files]
-        gets = [self._get(path, limit, transfer) for path, limit in zip(files, limits, strict=True)]
-        tasks = [asyncio.create_task(get) for get in gets]
+        tasks = [asyncio.create_task(self._get(*one, transfer)) for one in zip(files, limits, strict=True)]
         try:
             abandoned = await self._watch(tasks, transfer, self._offers.wire_bytes(files) if give_up else 0, give_up)
         finally:
@@ -286,9 +250,10 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
         outage_s = self._settings.outage_s if self._tables.offers else 0.0
         faults, away_since = 0, None
         for tries in itertools.count():
-            answer = _Answer(transfer, self._settings.timeout_s)
             try:
-                data = await self._receive(path, limit, answer, again=tries > 0)
+                async with self._connections:
+                    answer = _Answer(transfer, self._settings.timeout_s)
+                    data = await self._receive(path, limit, answer, again=tries > 0)
                 self._tables.accept(path, data)
                 if self._received is not None:
                     self._received(path, data)
@@ -298,21 +263,21 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
                 fault = self._fault(path, error, away=transfer.answered_at < answer.asked_at)
             if path == JSON_NAME:
                 self._tag = None
-            passing, now = fault if isinstance(fault, _PassingError) else None, time.monotonic()
-            after_s = passing.after_s if passing else 0.0
-            faults, away_since = (faults, away_since or now) if passing and passing.away else (faults + 1, None)
-            if away_since is not None and now + after_s - away_since >= outage_s:
+            passing, now = isinstance(fault, _PassingError), time.monotonic()
+            away = isinstance(fault, _PassingError) and fault.away
+            faults, away_since = (faults, away_since or now) if away else (faults + 1, None)
+            if away_since is not None and now - away_since >= outage_s:
                 raise TransportError(f"{self._url}/{path}: {fault.detail}")
             if faults == self._settings.attempts or not (passing or fault.reason in GARBLED):
                 transfer.refused[path] = fault
                 return
-            if passing and self._told and not transfer.told:
-                transfer.told = True
-                self._told(f"{self._url}/{path}: {fault.detail}; asking again")
+            if passing and self._on_retry and not transfer.reported:
+                transfer.reported = True
+                self._on_retry(f"{self._url}/{path}: {fault.detail}; asking again")
             transfer.retries.append(Retry(path, fault.detail, answer.size))
             pause_s = min(LONGEST_PAUSE_S, self._settings.backoff_s * 2 ** min(tries, 30))
             pause_s *= random.uniform(0.5, 1.0)  # not the same for everybody who lost the same server
-            await asyncio.sleep(max(after_s, pause_s))
+            await asyncio.sleep(pause_s)
 
     def _fault(self, path: str, error: Exception, away: bool) -> FormatError:
         """Return what an error means for a file; `away`: the server has sent nothing since the request."""
@@ -321,7 +286,7 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
                 return error
             case aiohttp.ClientSSLError() | aiohttp.InvalidURL():
                 raise TransportError(f"{self._url}: {error}") from error
-            case aiohttp.ClientConnectorError() | aiohttp.ConnectionTimeoutError():
+            case aiohttp.ClientConnectorError():
                 return _PassingError(path, f"the server cannot be reached: {_reason(error)}", away=True)
             case TimeoutError():
                 words = f"the server is silent: fewer than {LEAST_BYTES} bytes in {self._settings.timeout_s:g} s"
@@ -340,14 +305,15 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
             URL(f"{self._url}/{path}{self._query}", encoded=True),
             headers=headers,
             middlewares=(partial(self._stay, path),),
-            trace_request_ctx=answer,
         )
         async with answer.limit, asking as response:
             answer.begin(response)
             if response.status == 304 and tag:
                 return self._tables.root_bytes
+            if response.status in BUSY or response.status >= 500:
+                raise _PassingError(path, status_words(response.status), away=response.status in BUSY)
             if response.status != 200:
-                raise _refusal(path, response.status, response.headers.get("Retry-After", ""))
+                raise FormatError("missing_file", path, status_words(response.status))
             body = bytearray()
             async for part in response.content.iter_any():
                 answer.count(len(part))
@@ -379,24 +345,6 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
         self._zero = clock if self._zero is None else self._zero
         return clock - self._zero + self._skipped_s
 
-    async def _wait_until(self, at_s: float) -> None:
-        left_s = at_s - self._now_s()
-        if left_s <= 0:
-            return
-        if self._settings.as_fast and not self._offers.live:
-            self._skipped_s += left_s
-        else:
-            await asyncio.sleep(left_s)
-
-
-def _refusal(path: str, status: int, after: str) -> FormatError:
-    busy, words = status in BUSY, status_words(status)
-    if not busy and status < 500:
-        return FormatError("missing_file", path, words)
-    after_s = int(after[:9]) if busy and after.isdecimal() else 0
-    words += f", to be asked again in {after_s} s" if after_s else ""
-    return _PassingError(path, words, busy, after_s)
-
 
 def _reason(error: Exception) -> str:
     if isinstance(error, aiohttp.ClientPayloadError):
@@ -410,10 +358,10 @@ def _checked(url: str) -> tuple[str, str]:
     before, query = split_query(folder_of(url))
     try:
         parts = urlsplit(before)
-        known = parts.scheme in WEB and parts.hostname and parts.port != 0 and "#" not in url
+        valid = parts.scheme in WEB and parts.hostname and parts.port != 0 and "#" not in url
     except ValueError:
-        known = False
-    if not known:
+        valid = False
+    if not valid:
         raise ConfigError(f"URL: expected http://HOST[:PORT]/PATH[?QUERY] or https, got {url}")
     return str(URL(before)).rstrip("/"), quote(query, safe=_AS_IT_IS)
 
@@ -430,8 +378,7 @@ class RemoteTables:
 
     def limit(self, path: str) -> int:
         """Return the most bytes that a file may have. Raises FormatError for a file that no table lists."""
-        listed = self.offers.manifest.entry(path) if self.offers and path != JSON_NAME else None
-        return listed.bytes if listed and not path.endswith(".gz") else MAX_TABLE_BYTES
+        return self.offers.manifest.entry(path).bytes if self.offers and path != JSON_NAME else MAX_TABLE_BYTES
 
     def accept(self, path: str, data: bytes) -> None:
         """Check a file against the tables, and store it if it is one. Raises FormatError."""
@@ -441,10 +388,7 @@ class RemoteTables:
         if self.offers is None:
             raise FormatError("missing_entry", path, f"{JSON_NAME} has not come yet")
         entry = self.offers.manifest.entry(path)
-        if is_unpacked(path, data) and len(data) != entry.bytes:
-            data = gzip.compress(data, 1)
-        else:
-            check_file(path, data, entry)
+        check_file(path, data, entry)
         self._read_table(self.offers, path, entry, data)
 
     def _accept_root(self, data: bytes) -> None:
@@ -453,7 +397,7 @@ class RemoteTables:
         root = parse_root(data)
         if self._root is not None:
             _check_growth(self._root, root)
-        manifest = open_manifest(root, partial(_find, self._files))
+        manifest = open_manifest(root, self._find)
         if self.offers is None:
             self.offers = Offers(manifest, root_bytes=len(data), live=root.live)
         else:
@@ -474,6 +418,15 @@ class RemoteTables:
             del self._files[path]
             raise
 
+    def _find(self, path: str, entry: FileEntry) -> bytes:
+        """Return a fetched table. Raises FormatError if it has not come, or if the root now lists another."""
+        if path not in self._files:
+            raise FormatError("missing_file", path, "it has not been fetched")
+        listed, data = self._files[path]
+        if listed != entry:
+            raise FormatError("hash_mismatch", path, "the table that came is not the one that is listed now")
+        return data
+
     def _check_base(self, m: Manifest, group: int) -> None:
         """Parse a group's table and check it against its base, whichever came first. Raises FormatError."""
         base = m.groups[group].base
@@ -483,16 +436,6 @@ class RemoteTables:
             if group_path(base) in self._files:
                 m.base_of(group)
             self._keepers.setdefault(base - 1, set()).add(group)
-
-
-def _find(tables: Mapping[str, tuple[FileEntry, bytes]], path: str, entry: FileEntry) -> bytes:
-    """Return a fetched table. Raises FormatError if it has not come, or if the root now lists another."""
-    if path not in tables:
-        raise FormatError("missing_file", path, "it has not been fetched")
-    listed, data = tables[path]
-    if listed != entry:
-        raise FormatError("hash_mismatch", path, "the table that came is not the one that is listed now")
-    return data
 
 
 def _check_growth(before: Root, after: Root) -> None:

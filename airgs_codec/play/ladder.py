@@ -1,7 +1,7 @@
 """The paper's level selection (arXiv 2512.20943, Algorithm 1), with its undefined cases defined, and as printed.
 
-Where Algorithm 1 divides by zero, returns a level that does not fit or leaves its answer undefined, the comment names
-the case: first drop zero (1, 2), tiny (3), quality that rises when pruning (4), slow slides (5), the first level (6),
+Where Algorithm 1 divides by zero, returns a level that does not fit or leaves its answer undefined, comments name the
+case: first drop zero (1, 2), tiny (3), quality that rises when pruning (4), slow slides (5), the first level (6),
 nothing fits (7, 8), sizes that do not fall (9), one level or none (10), NaN and infinite quality (11), bad budgets
 (12), units (13: everything here is bytes), the level that sends nothing (14: not in a ladder), keyframes (15: chosen
 over the buffer, see session), level 0 (16: no different from the others).
@@ -14,6 +14,8 @@ import math
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.metrics import PSNR_CAP
@@ -30,13 +32,11 @@ class Option:
     index: int  # in the caller's list, such as a level or a rung
     size_bytes: int
     quality: float  # dB
-    saved: float  # share of the best level's bytes that its level saves, 0..1; 0 where nothing is known of that
+    saved: float  # share of the best level's bytes that its level saves, 0..1; 0 where that is unknown
 
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """The option that was chosen, and why."""
-
     index: int  # of the option
     fits: bool = True  # whether it is within the budget
     reason: str = ""  # in words, for people
@@ -54,7 +54,18 @@ def build_ladder(options: Iterable[Option], beta: float = DEFAULT_BETA) -> tuple
     """
     if not beta > 1:
         raise ConfigError(f"cliff multiplier: expected more than 1, got {beta}")
-    front = _pareto([_checked(p) for p in options])
+    checked: list[Option] = []
+    for p in options:
+        if math.isnan(p.quality) or p.size_bytes < 0:
+            raise ConfigError(f"level {p.index}: expected a size and a quality, got {p}")
+        checked.append(Option(p.index, p.size_bytes, min(p.quality, PSNR_CAP), p.saved))
+    if not checked:
+        raise ConfigError("ladder: expected at least one level, got none")
+    front: list[Option] = []  # those that no other beats or equals at fewer bytes, best first (4, 9)
+    for option in sorted(checked, key=lambda p: (p.size_bytes, -p.quality, p.index)):
+        if not front or option.quality > front[-1].quality:
+            front.append(option)
+    front.reverse()
     if beta == math.inf:
         return tuple(front)
     ladder = front[:1]
@@ -68,23 +79,6 @@ def build_ladder(options: Iterable[Option], beta: float = DEFAULT_BETA) -> tuple
         ladder.append(option)
         steps += tenths
     return tuple(ladder)
-
-
-def _checked(option: Option) -> Option:
-    if math.isnan(option.quality) or option.size_bytes < 0:
-        raise ConfigError(f"level {option.index}: expected a size and a quality, got {option}")
-    return Option(option.index, option.size_bytes, min(option.quality, PSNR_CAP), option.saved)
-
-
-def _pareto(options: list[Option]) -> list[Option]:
-    """Return the options that no other beats or equals at fewer bytes, best first (4, 9)."""
-    if not options:
-        raise ConfigError("ladder: expected at least one level, got none")
-    front: list[Option] = []
-    for option in sorted(options, key=lambda p: (p.size_bytes, -p.quality, p.index)):
-        if not front or option.quality > front[-1].quality:
-            front.append(option)
-    return front[::-1]
 
 
 def select(ladder: Sequence[Option], budget_bytes: float) -> Decision:
@@ -111,8 +105,8 @@ def select_literal(options: Sequence[Option], budget_bytes: float, beta: float =
     """Run Algorithm 1 as printed, over options in the order of their levels; None where it leaves p undefined.
 
     A step is q[i] - q[i-1], negative where quality falls. Divisions are IEEE: 0 / 0 is no number and never above beta,
-    and a fall after a step of 0 is -infinity, so that the cliff is missed there. When nothing fits, the answer is the
-    cliff's level, whatever its size; `select` differs there. Raises ConfigError without options.
+    and a fall after a step of 0 is -infinity, so that this cliff is missed. When nothing fits, the answer is the
+    cliff's level, whatever its size, unlike in `select`. Raises ConfigError without options.
     """
     if not options:
         raise ConfigError("Algorithm 1: expected at least one level, got none")
@@ -120,7 +114,9 @@ def select_literal(options: Sequence[Option], budget_bytes: float, beta: float =
     previous = options[1].quality - options[0].quality if len(options) > 1 else 0.0
     for i in range(1, len(options)):
         drop = options[i].quality - options[i - 1].quality
-        if _ratio(drop, previous) > beta:
+        with np.errstate(all="ignore"):
+            is_cliff = np.divide(drop, previous) > beta
+        if is_cliff:
             answer = i
             break
         rungs.append(i)
@@ -133,12 +129,6 @@ def select_literal(options: Sequence[Option], budget_bytes: float, beta: float =
         else:
             low = middle + 1
     return answer
-
-
-def _ratio(a: float, b: float) -> float:
-    if b:
-        return a / b
-    return math.nan if a == 0 or math.isnan(a) else math.copysign(math.inf, a)
 
 
 def frame_budget(bandwidth_bps: float, fps: float) -> float:

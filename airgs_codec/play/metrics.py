@@ -1,10 +1,8 @@
-"""What a session was like: its log as a fold over a player's events, figures over the batches that were fetched and the
-segments that were shown, and what they are called in tables.
+"""What a session was like: its log as a fold over a player's events, and figures over its batches and segments.
 
 PSNR has three definitions in this package. Packages: the PSNR of the squared error pooled over views and frames.
 Training: the mean over views of each view's dB. Sessions, here: every segment has the package's PSNR of its rung, and
-a session the mean of these dB over display ticks. A display tick is a moment every 1 / fps seconds from the first
-picture on.
+a session the mean of these dB over display ticks, moments every 1 / fps seconds from the first picture on.
 """
 
 from __future__ import annotations
@@ -24,9 +22,9 @@ import numpy as np
 from airgs_codec._arguments import brief
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import FileKind, file_kind
-from airgs_codec.play.downloader import Arrived, BatchKind, Cut, Event, Lost, Replaced, Shown
-from airgs_codec.play.fetcher import SHORTEST_S
+from airgs_codec.play.downloader import Arrived, BatchKind, Cut, Displayed, Event, Lost, Replaced
 from airgs_codec.play.offers import Offers
+from airgs_codec.play.player import SHORTEST_S
 from airgs_codec.play.playout import SessionSettings
 from airgs_codec.play.policies import STALL_DB
 from airgs_codec.play.trace import Link
@@ -34,7 +32,7 @@ from airgs_codec.play.trace import Link
 NEXT = (BatchKind.GROUP, BatchKind.DELTA)  # batches of the segment that comes next
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Fetch:
     kind: BatchKind
     position: int  # of the segment in the session
@@ -55,7 +53,7 @@ class Fetch:
 
 @dataclass(frozen=True, slots=True)
 class SessionMetrics:
-    """Figures of one session. Frames of lost segments have no quality: they are counted apart and not in PSNR."""
+    """Figures of one session. Frames of lost segments have no quality: they are counted, but not in PSNR."""
 
     frames: int
     played_s: float
@@ -83,29 +81,19 @@ class SessionMetrics:
     lost_frames: int
     rungs: Mapping[str, int]  # segments shown with each; "lost" counts the others
     gaussians: int  # most that a picture showed
-    trace: str | None  # these are None over a real connection
-    trace_mean_bps: float | None
-    trace_scale: float | None
-    trace_offset_s: float | None
-    trace_end: str | None  # what follows the trace's last second
-    trace_ended: bool | None  # whether the session was longer than the trace
-    rtt_s: float | None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all figures by name, as plain values."""
         return asdict(self)
 
 
 @dataclass(frozen=True, eq=False)
 class SessionLog:
-    """Everything that happened in a session; figures are derived from it."""
-
     offers: Offers
     settings: SessionSettings
     policy: str
     link: Link | None  # None over a real connection
     fetches: tuple[Fetch, ...]  # in the order of their arrival
-    shown: tuple[Shown, ...]  # one for each position
+    shown: tuple[Displayed, ...]  # one for each position
     bytes_by_kind: Mapping[FileKind, int]  # of files that were of use, without headers
     lost: tuple[str, ...]  # what could not be had, one line each
     retried: tuple[str, ...]  # what was asked for again, one line each
@@ -117,14 +105,12 @@ class SessionLog:
         events: Iterable[Event], offers: Offers, policy: str, settings: SessionSettings, link: Link | None = None
     ) -> SessionLog:
         """Fold events into a log. Deltas of a replaced rung are wasted; its keyframes are not: they stay decoded."""
-        arrived: list[Arrived] = []
-        shown: list[Shown] = []
+        fetches: list[Fetch] = []
+        shown: list[Displayed] = []
         lost: list[str] = []
         retried: list[str] = []
         by_kind: Counter[FileKind] = Counter()
-        used: set[int] = set()  # batches on the timeline, by their place in `arrived`
-        in_vain: Counter[int] = Counter()  # bytes of delta that a batch brought
-        brought: dict[int, int] = {}  # position -> the batch that brought its delta
+        brought: dict[int, Fetch] = {}  # position -> the batch that brought its delta
         for event in events:
             match event:
                 case Arrived(arrival):
@@ -132,34 +118,74 @@ class SessionLog:
                         by_kind[file_kind(path)] += offers.file_bytes(path)
                     lost += [f"{path} at {arrival.at_s:.2f} s: {why.detail}" for path, why in arrival.refused.items()]
                     retried += [f"{retry.path} before {arrival.at_s:.2f} s: {retry.why}" for retry in arrival.retries]
-                    if arrival.complete and arrival.request.kind in NEXT:
-                        used.add(len(arrived))
-                        brought[arrival.request.position] = len(arrived)
-                    arrived.append(event)
+                    fetches.append(_fetch(offers, event))
+                    if fetches[-1].shown:
+                        brought[fetches[-1].position] = fetches[-1]
                 case Replaced(position):
-                    used.add(len(arrived) - 1)
+                    fetches[-1].shown, fetches[-1].wasted = True, 0
                     rungs = offers.offer(offers.place(position)[1]).rungs
                     before, after = rungs[event.before], rungs[event.after]
                     if before.level != after.level:
                         if position in brought:  # else the level had nothing to fetch
-                            in_vain[brought[position]] += before.delta_bytes
-                        brought[position] = len(arrived) - 1
+                            brought[position].wasted += before.delta_bytes
+                        brought[position] = fetches[-1]
                 case Lost(position, at_s):
                     start, stop = offers.span(offers.place(position)[1])
                     what = "no rung can be had, the last picture stands"
                     lost.append(f"frames {start}-{stop - 1} at {at_s:.2f} s: {what}")
                 case Cut(at_s, why):
                     lost.append(f"at {at_s:.2f} s: {why}")
-                case Shown():
+                case Displayed():
                     shown.append(event)
-        fetches = tuple(_fetch(offers, one, i in used, in_vain[i]) for i, one in enumerate(arrived))
-        return SessionLog(
-            offers, settings, policy, link, fetches, tuple(shown), dict(by_kind), tuple(lost), tuple(retried)
-        )
+        folded = tuple(fetches), tuple(shown), dict(by_kind), tuple(lost), tuple(retried)
+        return SessionLog(offers, settings, policy, link, *folded)
 
     @cached_property
     def metrics(self) -> SessionMetrics:
-        return session_metrics(self)
+        offers, link, fetches, shown = self.offers, self.link, self.fetches, self.shown
+        frames = sum(s.frames for s in shown)
+        stalls = [s.stall_s for s in shown if s.stall_s > SHORTEST_S]
+        played, stall = frames / offers.fps, math.fsum(stalls)
+        on_screen = [shown[i] for i, _ in self.screen_ticks]
+        psnr = np.array([s.psnr for s in on_screen if s.psnr is not None])
+        found = [offers.offer(s.segment).rungs[s.rung] for s in shown if s.rung is not None]
+        seen = [offers.offer(s.segment).rungs[s.rung] for s in on_screen if s.psnr is not None and s.rung is not None]
+        quality = [s.psnr for s in shown if s.psnr is not None]
+        changes = [abs(b - a) for a, b in itertools.pairwise(quality)]
+        rungs = [s.rung for s in shown]
+        counts = Counter("lost" if rung is None else offers.names[rung] for rung in rungs)
+        wire, end_s = sum(f.bytes for f in fetches), max(f.arrival_s for f in fetches)
+        brought = [(f.position, i) for i, f in enumerate(fetches) if f.shown and f.kind in NEXT]
+        last = max((i for position, i in brought if position == brought[0][0]), default=len(fetches))
+        first = fetches[: last + 1]  # up to the last batch that the first picture needs
+        return SessionMetrics(
+            frames=frames,
+            played_s=played,
+            startup_s=shown[0].start_s,
+            startup_requests=sum(f.files + f.retries for f in first),
+            startup_bytes=sum(f.bytes for f in first),
+            startup_table_bytes=sum(f.bytes for f in first if f.kind is BatchKind.TABLES),
+            stalls=len(stalls),
+            stall_s=stall,
+            stall_ratio=stall / (played + stall),
+            switches=sum(a != b for a, b in itertools.pairwise(rungs)),
+            psnr_mean=float(psnr.mean()) if len(psnr) else None,
+            psnr_p5=float(np.percentile(psnr, 5)) if len(psnr) else None,
+            delta_e_mean=float(np.mean([rung.delta_e for rung in seen])) if seen else None,
+            change_db=float(np.mean(changes)) if changes else 0.0,
+            qoe=(sum(quality) - sum(changes) - STALL_DB * stall) / len(quality) if quality else None,
+            bytes={kind.value: size for kind, size in self.bytes_by_kind.items()},
+            bytes_per_frame=sum(self.bytes_by_kind.values()) / frames,
+            wire_bytes=wire,
+            wasted=sum(f.wasted for f in fetches) / wire,
+            utilisation=wire / max(1.0, link.bytes_between(0.0, end_s)) if link else None,
+            replaced=sum(f.kind is BatchKind.REPLACEMENT for f in fetches),
+            abandoned=sum(f.abandoned for f in fetches),
+            retries=sum(f.retries for f in fetches),
+            lost_frames=sum(s.frames for s in shown if s.rung is None),
+            rungs=dict(counts.most_common()),
+            gaussians=max((rung.gaussians for rung in found), default=0),
+        )
 
     @property
     def events(self) -> list[dict[str, Any]]:
@@ -192,19 +218,18 @@ class SessionLog:
     @property
     def mean_quality(self) -> float:
         """Return the mean PSNR in dB over media time, as `session_bound` counts it, without lost segments."""
-        known = [(s.psnr, s.frames) for s in self.shown if s.psnr is not None]
-        return sum(p * n for p, n in known) / sum(n for _, n in known)
+        shown = [(s.psnr, s.frames) for s in self.shown if s.psnr is not None]
+        return sum(p * n for p, n in shown) / sum(n for _, n in shown)
 
 
-def _fetch(offers: Offers, event: Arrived, shown: bool, replaced_bytes: int) -> Fetch:
-    """Return the record of a batch. All bytes of a replacement that came too late are wasted, else unusable ones."""
+def _fetch(offers: Offers, event: Arrived) -> Fetch:
+    """Return the record of a batch. All bytes of a replacement are wasted until it is shown."""
     arrival, request = event.arrival, event.arrival.request
+    wasted = max(0, arrival.bytes - offers.wire_bytes(arrival.usable))
     if request.kind is BatchKind.REPLACEMENT:
-        useless = 0 if shown else arrival.bytes
+        wasted = arrival.bytes
     elif arrival.complete:
-        useless = sum(retry.bytes for retry in arrival.retries)
-    else:
-        useless = max(0, arrival.bytes - offers.wire_bytes(arrival.usable))
+        wasted = sum(retry.bytes for retry in arrival.retries)
     return Fetch(
         kind=request.kind,
         position=request.position,
@@ -212,94 +237,20 @@ def _fetch(offers: Offers, event: Arrived, shown: bool, replaced_bytes: int) -> 
         files=len(arrival.whole) + len(arrival.refused),
         retries=len(arrival.retries),
         bytes=arrival.bytes,
-        wasted=useless + replaced_bytes,
+        wasted=wasted,
         request_s=request.sent_s,
         arrival_s=arrival.at_s,
         budget_bytes=event.budget_bytes,
         throughput_bps=event.throughput_bps,
         fits=event.decision.fits,
         abandoned=arrival.abandoned,
-        shown=shown,
+        shown=arrival.complete and request.kind in NEXT,
         reason=event.decision.reason,
     )
 
 
-def session_metrics(log: SessionLog) -> SessionMetrics:
-    offers, link, fetches, shown = log.offers, log.link, log.fetches, log.shown
-    frames = sum(s.frames for s in shown)
-    stalls = [s.stall_s for s in shown if s.stall_s > SHORTEST_S]
-    played, stall = frames / offers.fps, math.fsum(stalls)
-    on_screen = [shown[i] for i, _ in log.screen_ticks]
-    psnr = np.array([s.psnr for s in on_screen if s.psnr is not None])
-    found = [offers.offer(s.segment).rungs[s.rung] for s in shown if s.rung is not None]
-    seen = [offers.offer(s.segment).rungs[s.rung] for s in on_screen if s.psnr is not None and s.rung is not None]
-    quality = [s.psnr for s in shown if s.psnr is not None]
-    changes = [abs(b - a) for a, b in itertools.pairwise(quality)]
-    rungs = [s.rung for s in shown]
-    names = offers.names
-    counts = Counter("lost" if rung is None else names[rung] for rung in rungs)
-    wire, end_s = sum(f.bytes for f in fetches), max(f.arrival_s for f in fetches)
-    trace = link.trace if link else None
-    brought = [(f.position, i) for i, f in enumerate(fetches) if f.shown and f.kind in NEXT]
-    last = max((i for position, i in brought if position == brought[0][0]), default=len(fetches))
-    first = fetches[: last + 1]  # up to the last batch that the first picture needs
-    return SessionMetrics(
-        frames=frames,
-        played_s=played,
-        startup_s=shown[0].start_s,
-        startup_requests=sum(f.files + f.retries for f in first),
-        startup_bytes=sum(f.bytes for f in first),
-        startup_table_bytes=sum(f.bytes for f in first if f.kind is BatchKind.TABLES),
-        stalls=len(stalls),
-        stall_s=stall,
-        stall_ratio=stall / (played + stall),
-        switches=sum(a != b for a, b in itertools.pairwise(rungs)),
-        psnr_mean=float(psnr.mean()) if len(psnr) else None,
-        psnr_p5=float(np.percentile(psnr, 5)) if len(psnr) else None,
-        delta_e_mean=float(np.mean([rung.delta_e for rung in seen])) if seen else None,
-        change_db=float(np.mean(changes)) if changes else 0.0,
-        qoe=(sum(quality) - sum(changes) - STALL_DB * stall) / len(quality) if quality else None,
-        bytes={kind.value: size for kind, size in log.bytes_by_kind.items()},
-        bytes_per_frame=sum(log.bytes_by_kind.values()) / frames,
-        wire_bytes=wire,
-        wasted=sum(f.wasted for f in fetches) / wire,
-        utilisation=wire / max(1.0, link.bytes_between(0.0, end_s)) if link else None,
-        replaced=sum(f.kind is BatchKind.REPLACEMENT for f in fetches),
-        abandoned=sum(f.abandoned for f in fetches),
-        retries=sum(f.retries for f in fetches),
-        lost_frames=sum(s.frames for s in shown if s.rung is None),
-        rungs=dict(counts.most_common()),
-        gaussians=max((rung.gaussians for rung in found), default=0),
-        trace=trace.name if trace else None,
-        trace_mean_bps=trace.mean_bps if trace else None,
-        trace_scale=trace.scale if trace else None,
-        trace_offset_s=trace.offset_s if trace else None,
-        trace_end=trace.end if trace else None,
-        trace_ended=end_s > trace.duration_s if trace else None,
-        rtt_s=link.rtt_s if link else None,
-    )
-
-
-FIGURES = {  # of a session, in rows and records -> what it means
-    "psnr_mean": "mean over display ticks of the dB of what was on the screen; frozen pictures count",
-    "psnr_p5": "5th percentile over display ticks of the same dB",
-    "stall_ratio": "waiting after the first picture, of the time since",
-    "startup_s": "from the first request to the first picture",
-    "switches": "changes of the rung from one segment to the next",
-    "bytes_per_frame": "files that were of use, without headers",
-    "regret": "PSNR under the bound for the same moments, mean over media time",
-    "change_db": "mean change of PSNR from one segment to the next",
-    "qoe": "a segment: quality - changes - 20 dB for a second of waiting",
-    "wasted": "bytes that served nothing, of those on the wire",
-    "utilisation": "bytes on the wire, of those that could have passed",
-    **{f"{kind}_kb_frame": f"kB a frame of {kind} files, without headers" for kind in FileKind},
-}
-HEADLINES = {  # those that are shown in a terminal -> heading, factor from the row's unit to the heading's, format
-    "psnr_mean": ("PSNR dB", 1, ".2f"),
-    "psnr_p5": ("5th %ile dB", 1, ".2f"),
-    "stall_ratio": ("stalled %", 100, ".2f"),
-    "startup_s": ("start-up s", 1, ".2f"),
-    "switches": ("switches", 1, ".1f"),
-    "bytes_per_frame": ("kB/frame", 1e-3, ".2f"),
-    "regret": ("regret dB", 1, ".2f"),
-}
+# Those that studies compare; with `regret`, the PSNR under the bound for the same moments.
+FIGURES = (
+    *("psnr_mean", "psnr_p5", "stall_ratio", "startup_s", "switches", "bytes_per_frame", "regret", "change_db"),
+    *("qoe", "wasted", "utilisation", *(f"{kind}_kb_frame" for kind in FileKind)),
+)

@@ -24,12 +24,11 @@ from airgs_codec.play.ladder import Option, saved_shares
 
 SESSION_S = 30.0  # of play
 HEADER_BYTES = 350  # HTTP response headers a file
-RETAINED = 4096  # offers, and sizes of files, that are not made again
 OVER_BUDGET = 1 << 50  # bytes of a rung that shows too many Gaussians: more than any link carries
 
 Keyframe = tuple[int, int, int]  # group, keyframe quality, keyframe tier
 Keyframes = AbstractSet[Keyframe]
-NONE: Keyframes = frozenset()
+NO_KEYFRAMES: Keyframes = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +74,7 @@ class SegmentOffer:
     segment: int  # in the package
     seconds: float  # of play
     group: int
-    base: int | None  # the group that the keyframes of the group are differences to
+    base: int | None  # the group from whose keyframes those of the group differ
     starts_group: bool
     rungs: tuple[RungOffer, ...]
 
@@ -85,7 +84,6 @@ class SegmentOffer:
 
     @cached_property
     def levels(self) -> tuple[Option, ...]:
-        """Return the levels with the bytes of their deltas and their quality with the finest keyframes."""
         finest = [rung for rung in self.rungs if rung.quality == 0]
         return tuple(Option(rung.level, rung.delta_bytes, rung.psnr, rung.saved) for rung in finest)
 
@@ -107,16 +105,16 @@ class SegmentOffer:
         keyframes = tuple(path for of in offer.keyframes if of.keyframe not in decoded for path in of.files)
         return Batch(keyframes, offer.delta)
 
-    def bytes_after(self, before: SegmentOffer, known: Keyframes) -> NDArray[np.int64]:
+    def bytes_after(self, before: SegmentOffer, decoded: Keyframes) -> NDArray[np.int64]:
         """Return (R or 1, R) wire bytes of every rung by the rung of the previous segment; one row if it is irrelevant.
 
-        At the start of a group, keyframes that are `known` need not be fetched.
+        At the start of a group, keyframes that are `decoded` need not be fetched.
         """
         if not self.starts_group:
             return self._within_group
         if self.base is None or self.base not in (before.group, before.base):
-            return np.array([self.sizes(known)])
-        return np.array([self.sizes(known | keyframes) for keyframes in before._keyframes])
+            return np.array([self.sizes(decoded)])
+        return np.array([self.sizes(decoded | keyframes) for keyframes in before._keyframes])
 
     @cached_property
     def _keyframes(self) -> list[frozenset[Keyframe]]:
@@ -146,7 +144,7 @@ class Offers:
         self.header_bytes, self.first = header_bytes, first
         self.grow(manifest, root_bytes)
         self.live = live  # more groups may come in this session
-        self._made = lru_cache(RETAINED)(self._make)
+        self._made = lru_cache(4096)(self._make)
 
     def __reduce__(self) -> tuple[object, ...]:
         return Offers, (self.manifest, self.header_bytes, self.root_bytes, self.live, self.first)
@@ -206,7 +204,6 @@ class Offers:
 
     @property
     def names(self) -> list[str]:
-        """Return the name of every rung, such as Q1+L2."""
         m = self.manifest
         return [f"{m.qualities[q].id}+{m.levels[j].id}" for q, j in self.rungs]
 
@@ -253,5 +250,4 @@ class Offers:
         return self.root_bytes if path == JSON_NAME else self.manifest.entry(path).bytes
 
     def wire_bytes(self, paths: Iterable[str]) -> int:
-        """Return the bytes of files with their headers."""
         return sum(self.header_bytes + self.file_bytes(path) for path in paths)

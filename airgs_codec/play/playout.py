@@ -35,21 +35,18 @@ class SessionSettings:
     budget: int | None = setting(None, "most Gaussians that are fetched and shown of a group; by default any number")
 
     def __post_init__(self) -> None:
-        if not LEAST_S <= self.buffer_s < math.inf:
-            raise ConfigError(f"buffer: expected {LEAST_S:g} s or more, got {self.buffer_s:g}")
-        for name, value in (("start-up", self.startup_s), ("resume", self.resume_s)):
-            if not 0 <= value < math.inf:
-                raise ConfigError(f"{name}: expected 0 s or more, got {value:g}")
-        if not 0 <= self.decode_frame_s < math.inf:
-            raise ConfigError(f"decoding: expected 0 s a frame or more, got {self.decode_frame_s:g}")
-        if self.budget is not None and self.budget < 1:
-            raise ConfigError(f"budget: expected at least 1 Gaussian, got {self.budget}")
-        if self.loops is not None and self.loops < 1:
-            raise ConfigError(f"loops: expected at least 1, got {self.loops}")
+        times = {"start-up": self.startup_s, "resume": self.resume_s, "decoding": self.decode_frame_s}
+        for name, value in {"buffer": self.buffer_s, **times}.items():
+            least = LEAST_S if name == "buffer" else 0
+            if not least <= value < math.inf:
+                raise ConfigError(f"{name}: expected {least:g} s or more, got {value:g}")
+        for name, count in {"budget": self.budget, "loops": self.loops}.items():
+            if count is not None and count < 1:
+                raise ConfigError(f"{name}: expected at least 1, got {count}")
 
 
 @dataclass(slots=True, eq=False)
-class Slot:
+class TimelineEntry:
     position: int
     seconds: float  # of play
     ready_s: float  # when it has arrived and is decoded
@@ -70,7 +67,7 @@ class Slot:
 @dataclass(slots=True, eq=False)
 class Playout:
     settings: SessionSettings
-    timeline: list[Slot] = field(default_factory=list)
+    timeline: list[TimelineEntry] = field(default_factory=list)
     _first_waiting: int = 0
     _first_unseen: int = 0  # of the timeline: those before it were given by `started`
 
@@ -102,7 +99,7 @@ class Playout:
             ahead += slot.seconds
         return -math.inf
 
-    def enqueue(self, slot: Slot, is_last: bool) -> None:
+    def enqueue(self, slot: TimelineEntry, is_last: bool) -> None:
         """Append a segment that arrived, or is lost; playing begins or goes on when there is enough."""
         self.timeline.append(slot)
         if len(self.timeline) - self._first_waiting == 1 and slot.ready_s <= self.scheduled_end_s:
@@ -113,7 +110,7 @@ class Playout:
         if is_last or self._waiting_s() >= wanted:
             self.resume()
 
-    def forget(self, now_s: float) -> Slot | None:
+    def forget(self, now_s: float) -> TimelineEntry | None:
         """Drop segments that are over and were yielded by `started`, except the last; returns the first one left."""
         over = 0
         while over < self._first_unseen - 1 and self.timeline[over].end_s <= now_s:
@@ -133,11 +130,11 @@ class Playout:
             at_s += slot.seconds
         self._first_waiting = len(self.timeline)
 
-    def pending(self) -> Iterator[tuple[Slot, SegmentOffer]]:
+    def pending(self) -> Iterator[tuple[TimelineEntry, SegmentOffer]]:
         """Yield the segments that can still be changed: neither lost nor yielded by `started` yet."""
         return ((slot, slot.offer) for slot in self.timeline[self._first_unseen :] if slot.offer is not None)
 
-    def started(self, before_s: float = math.inf) -> Iterator[Slot]:
+    def started(self, before_s: float = math.inf) -> Iterator[TimelineEntry]:
         """Yield segments that have begun since the last call; they can no longer be replaced."""
         while self._first_unseen < self._first_waiting and self.timeline[self._first_unseen].start_s < before_s:
             self._first_unseen += 1

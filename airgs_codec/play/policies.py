@@ -1,9 +1,8 @@
 """Policies: what they know, the estimates that they share, how each chooses, and their names.
 
-Some look at one number, what the throughput estimate sustains or the buffer. Algorithm 1 of the paper (arXiv
-2512.20943) comes with its cases defined, and as printed; each with and without its cliff test (lines 1 to 11), which
-says how far a level space is worth going down, whatever the link carries; the search (lines 12 to 25) takes the best of
-what is left that fits. The model-predictive controller looks ahead. Oracles know the trace: yardsticks, see `bound`.
+Algorithm 1 of the paper (arXiv 2512.20943) comes with its cases defined, and as printed; each with and without its
+cliff test (lines 1 to 11), which says how far a level space is worth going down, whatever the link carries; the search
+(lines 12 to 25) takes the best of what is left that fits. Oracles know the trace: yardsticks, see `bound`.
 
 R rungs, P rungs of the segment before (or 1, where they do not matter), B points of the controller's buffer grid.
 """
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 
 from airgs_codec._arguments import argument, brief
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.bound import Horizon, Slot, solve_horizon
+from airgs_codec.play.bound import Slot, solve_horizon
 from airgs_codec.play.ladder import DEFAULT_BETA, Decision, Option, build_ladder, frame_budget, select, select_literal
 from airgs_codec.play.offers import Keyframes, Offers, SegmentOffer
 from airgs_codec.play.trace import Link
@@ -48,9 +47,7 @@ class Download:
     seconds: float  # from the first byte to the last
 
 
-Coming = tuple[
-    SegmentOffer, Keyframes
-]  # of this segment and each after it, while tables are there: what is decoded for it
+Coming = tuple[SegmentOffer, Keyframes]  # a segment from this one on, and the keyframes decoded for it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,12 +71,10 @@ class PlayerState:
 
     @property
     def throughput_bps(self) -> float:
-        """Return the estimate of bit/s from the downloads so far."""
         return estimate_throughput(self.history)
 
     @property
     def segment_s(self) -> float:
-        """Return the length of the segment in seconds."""
         return self.offer.seconds
 
     @property
@@ -90,7 +85,7 @@ class PlayerState:
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """A rule that chooses the rung of the next segment, and what the player may do beside it."""
+    """A rule that chooses the rung of the next segment, and what else the player may do."""
 
     name: str
     choose: Callable[[PlayerState], Decision]
@@ -102,9 +97,9 @@ class Policy:
     def decide(self, state: PlayerState) -> Decision:
         """Return the choice. Raises ConfigError unless it is a Decision for one of `state.options`."""
         decision = argument(f"policy {self.name}", self.choose(state), Decision, "a Decision")
-        known = [option.index for option in state.options]
-        if decision.index not in known:
-            raise ConfigError(f"policy {self.name}: expected the index of one of {known}, got {decision.index!r}")
+        indices = [option.index for option in state.options]
+        if decision.index not in indices:
+            raise ConfigError(f"policy {self.name}: expected the index of one of {indices}, got {decision.index!r}")
         return decision
 
 
@@ -139,9 +134,7 @@ def full_ladder(state: PlayerState) -> tuple[Option, ...]:
 
 
 def choose_fixed(state: PlayerState, rung: int) -> Decision:
-    """Choose one rung for every segment; the smallest one where it cannot be had."""
-    chosen = next((p for p in state.options if p.index == rung), None)
-    chosen = chosen or min(state.options, key=lambda p: p.size_bytes)
+    chosen = min(state.options, key=lambda p: (p.index != rung, p.size_bytes))
     return Decision(chosen.index, True, "fixed", chosen.size_bytes)
 
 
@@ -187,7 +180,7 @@ def choose_paper(state: PlayerState) -> Decision:
 
 
 def choose_paper_no_cliff(state: PlayerState) -> Decision:
-    """Choose the best rung that fits: the search of Algorithm 1 alone."""
+    """Choose the best rung that fits: only the search of Algorithm 1."""
     return select(full_ladder(state), budget_bytes(state))
 
 
@@ -238,14 +231,14 @@ def choose_robust_mpc(state: PlayerState) -> Decision:
 
     segments: list[Coming] = []
     total_s = 0.0
-    for offer, known in islice(state.upcoming(), HORIZON_SEGMENTS):
+    for offer, decoded in islice(state.upcoming(), HORIZON_SEGMENTS):
         if segments and total_s >= HORIZON_S:
             break
-        segments.append((offer, known))
+        segments.append((offer, decoded))
         total_s += offer.seconds
     value = np.zeros((len(state.offer.rungs), GRID_POINTS))
-    for (before, _), (offer, known) in reversed(list(pairwise(segments))):
-        value = _value_before(before, offer, download_s(offer.bytes_after(before, known)), limit_s, value)
+    for (before, _), (offer, decoded) in reversed(list(pairwise(segments))):
+        value = _value_before(before, offer, download_s(offer.bytes_after(before, decoded)), limit_s, value)
     rungs = np.array([p.index for p in state.options])
     sizes = np.array([p.size_bytes for p in state.options])
     quality = np.array([p.quality for p in state.options])
@@ -295,23 +288,23 @@ def choose_oracle_frame(state: PlayerState, link: Link) -> Decision:
 
 def choose_oracle_lp(state: PlayerState, link: Link) -> Decision:
     """Choose the rung with the largest share of this segment in the linear programme over all that comes."""
-    horizon = upcoming_horizon(state, link)
-    schedule = solve_horizon(horizon)
-    if schedule is None:
+    slots, idle_bytes = upcoming_horizon(state, link)
+    solution = solve_horizon(slots, state.decoded, idle_bytes)
+    if solution is None:
         return select(full_ladder(state), 0.0)
-    wanted = int(schedule.rungs[0].argmax())
+    wanted = int(solution.rungs[0].argmax())
     chosen = next((p for p in state.options if p.index == wanted), None)
     if chosen is None:
-        return select(full_ladder(state), schedule.first_bytes)
-    return Decision(wanted, True, f"planned for {len(horizon.slots)} segments", chosen.size_bytes)
+        return select(full_ladder(state), solution.first_bytes)
+    return Decision(wanted, True, f"planned for {len(slots)} segments", chosen.size_bytes)
 
 
-def upcoming_horizon(state: PlayerState, link: Link) -> Horizon:
-    """Return the segments to come, shown without a stall from the next deadline on, at most two buffers long.
+def upcoming_horizon(state: PlayerState, link: Link) -> tuple[list[Slot], float]:
+    """Return the segments to come, shown without a stall from the next deadline on, and the idle bytes before each.
 
-    A pipelined player requests a segment one round trip before the link is free, so that only the wait for room in
-    the buffer costs a round trip. Otherwise the link is idle for a round trip before every segment; the bytes that it
-    could have carried in that time are taken at the trace's mean rate.
+    They are at most two buffers long. A pipelined player requests a segment one round trip before the link is free, so
+    that only the wait for room in the buffer costs a round trip. Otherwise the link is idle for a round trip before
+    every segment; the bytes that it could have carried in that time are taken at the trace's mean rate.
     """
     slots = []
     first_byte_s = state.now_s + state.request_latency_s
@@ -323,8 +316,7 @@ def upcoming_horizon(state: PlayerState, link: Link) -> Horizon:
         start_s = end_s
         if start_s > first_start_s + 2 * state.buffer_limit_s:
             break
-    idle_bytes = 0.0 if state.pipelined else link.rtt_s * link.trace.mean_bps / 8
-    return Horizon(tuple(slots), state.decoded, idle_bytes)
+    return slots, 0.0 if state.pipelined else link.rtt_s * link.trace.mean_bps / 8
 
 
 Choose = Callable[[PlayerState], Decision]
@@ -342,11 +334,8 @@ ADAPTIVE = {
         Policy("robust-mpc", choose_robust_mpc, horizon=HORIZON_SEGMENTS),
     )
 }
-ORACLES: dict[str, Callable[[PlayerState, Link], Decision]] = {
-    "oracle-frame": choose_oracle_frame,
-    "oracle-lp": choose_oracle_lp,
-}
-NAMES = (*ADAPTIVE, *ORACLES)
+ORACLES = {"oracle-frame": choose_oracle_frame, "oracle-lp": choose_oracle_lp}
+POLICY_NAMES = (*ADAPTIVE, *ORACLES)
 
 
 def make_policy(policy: Policy | Choose | str, offers: Offers, link: Link | None = None) -> Policy:
@@ -365,18 +354,12 @@ def make_policy(policy: Policy | Choose | str, offers: Offers, link: Link | None
     if name in ORACLES:
         if link is None:
             raise ConfigError(f"policy {name}: expected a trace, which it knows in advance, got a real connection")
-        oracle, known = ORACLES[name], link
-        return Policy(name, lambda state: oracle(state, known), may_replace=False)
-    choose = partial(choose_fixed, rung=_fixed_rung(name, offers))
-    return Policy(name, choose, may_abandon=False, may_replace=False, needs_quality=False)
-
-
-def _fixed_rung(name: str, offers: Offers) -> int:
-    kind, _, rung = name.partition(":")
+        return Policy(name, partial(ORACLES[name], link=link), may_replace=False)
     levels = len(offers.manifest.levels)
-    if kind == "fixed" and rung in offers.names:
-        return offers.names.index(rung)
-    if kind == "fixed" and rung.isdigit() and int(rung) < levels:
-        return int(rung)
-    names = f"{', '.join(NAMES)}, fixed:0 … fixed:{levels - 1} or fixed:{offers.names[-1]}"
-    raise ConfigError(f"policy: expected {names}, got {name!r}")
+    fixed = {f"fixed:{rung}": index for index, rung in enumerate(offers.names)}
+    fixed |= {f"fixed:{level}": level for level in range(levels)}
+    if name not in fixed:
+        names = f"{', '.join(POLICY_NAMES)}, fixed:0 … fixed:{levels - 1} or fixed:{offers.names[-1]}"
+        raise ConfigError(f"policy: expected {names}, got {name!r}")
+    choose = partial(choose_fixed, rung=fixed[name])
+    return Policy(name, choose, may_abandon=False, may_replace=False, needs_quality=False)

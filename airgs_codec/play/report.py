@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import numpy as np
 from airgs_codec._report import BLUE, GREEN, GREY, RED, Page, Picture, Table, answered, cell, listed
 from airgs_codec.package.manifest import quality_of, rungs_of
 from airgs_codec.package.region import RegionSummary
-from airgs_codec.play.fetcher import SHORTEST_S
+from airgs_codec.play.player import SHORTEST_S
 from airgs_codec.play.policies import DEFAULT_POLICY
 from airgs_codec.play.session import SessionLog, session_bound
 
@@ -22,14 +21,12 @@ MUCH_DB = 0.5  # under the bound from which another policy may be worth a look
 MUCH_WAIT = 0.1  # of the waiting
 MUCH_WASTE = 0.05  # of the bytes
 OFTEN = 0.9  # share of the segments in the top rung, and of the link, from which more or nothing is to be had
-FAULTS, BELOW, OVER, ASKED, SHORT = (  # why a viewer waited
+FAULTS, BELOW, ASKED, SHORTAGE = (  # why a viewer waited
     "files had to be asked for again",
     "the link gave less than the lowest rung needs",
-    "less came than was expected",
     "the policy asked for more than the link gave",
     "too little was buffered for what came next",
 )
-MOST_LINES = 10  # of what went wrong
 RUNGS = {
     "rung": ("rung, best first", ""), "psnr": ("PSNR, dB", ".2f"), "low": ("worst 5 %", ".1f"),
     "mbps": ("Mbit/s", ".2f"), "shown": ("segments shown", "d"), "on_ladder": ("worth its bytes", ""),
@@ -43,10 +40,6 @@ def write_report(log: SessionLog, directory: Path) -> Path:
     figures = [{"figure": name, "value": value} for name, value in _readable(log).items()]
     tables = Table("All figures", figures), Table("What the package claims of its rungs", rung_record(log), RUNGS)
     return Page(answered(answer(log), pictures, *tables), f"A session of {log.policy}").write(directory)
-
-
-def region_record(log: SessionLog) -> dict[str, Any]:
-    return dataclasses.asdict(RegionSummary.of(log.offers.manifest.region))
 
 
 def _draw(log: SessionLog, figure: Any) -> None:
@@ -80,13 +73,13 @@ def format_metrics(log: SessionLog) -> str:
 
 def _readable(log: SessionLog) -> dict[str, str]:
     m, region, budget = log.metrics, RegionSummary.of(log.offers.manifest.region), log.settings.budget
-    bound = _bound(log)
+    bound, link = session_bound(log), log.link
     quality = f"mean over ticks {m.psnr_mean:.2f} dB, 5th percentile {m.psnr_p5:.2f} dB" if m.psnr_mean else ""
     used = "" if m.utilisation is None else f", {100 * m.utilisation:.0f} % of what could pass"
     fetched = ", ".join(f"{kind} {size / 1e3:.1f}" for kind, size in m.bytes.items())
     rows = {
         "policy": log.policy,
-        "trace": _trace_words(log),
+        "trace": f"{link.trace.name}, mean {link.trace.mean_bps / 1e6:.2f} Mbit/s" if link else "a real connection",
         "played": f"{m.frames} frames, {m.played_s:.2f} s",
         "start-up": f"{m.startup_s:.3f} s: {m.startup_requests} requests, {m.startup_bytes / 1e3:.1f} kB, "
         f"{m.startup_table_bytes / 1e3:.1f} of them tables",
@@ -102,32 +95,11 @@ def _readable(log: SessionLog) -> dict[str, str]:
         "QoE": cell(m.qoe, "{:.2f} dB: quality - changes - 20 dB for a second of waiting".format),
         "best possible": cell(bound, "at most {:.2f} dB at the same moments, mean of segments".format),
         "regret": "-" if bound is None else f"{bound - log.mean_quality:.2f} dB less than that",
-        "lost": f"{m.lost_frames} frames; {some(log.lost)}" if log.lost else "-",
-        "asked for again": f"{len(log.retried)} files; {some(log.retried)}" if log.retried else "-",
+        "lost": f"{m.lost_frames} frames; {listed(log.lost)}" if log.lost else "-",
+        "asked for again": f"{len(log.retried)} files; {listed(log.retried)}" if log.retried else "-",
         "viewing region": region.words,
     }
     return {name: value for name, value in rows.items() if value != "-"}
-
-
-def _bound(log: SessionLog) -> float | None:
-    return session_bound(log) if log.offers.manifest.measured else None
-
-
-def some(lines: Sequence[str]) -> str:
-    """Return the first of some lines, and how many more there are."""
-    more = len(lines) - MOST_LINES
-    return "; ".join(lines[:MOST_LINES]) + (f"; and {more} more" if more > 0 else "")
-
-
-def _trace_words(log: SessionLog) -> str:
-    m = log.metrics
-    if m.trace is None or m.trace_mean_bps is None:
-        return "none: a real connection"
-    notes = [f"{m.trace}, mean {m.trace_mean_bps / 1e6:.2f} Mbit/s"]
-    notes += [f"from {m.trace_offset_s:g} s"] if m.trace_offset_s else []
-    notes += [f"rates x{m.trace_scale:g}"] if m.trace_scale != 1 else []
-    notes += [{"loop": "repeated", "hold": "last rate held"}[m.trace_end or "loop"]] if m.trace_ended else []
-    return ", ".join(notes)
 
 
 def rung_record(log: SessionLog) -> list[dict[str, Any]]:
@@ -141,8 +113,8 @@ def rung_record(log: SessionLog) -> list[dict[str, Any]]:
 
 
 def find_waits(log: SessionLog) -> dict[str, float]:
-    """Return the seconds that the viewer waited after the first picture, by the first of five reasons that holds."""
-    rungs, waits = rung_record(log), dict.fromkeys((FAULTS, BELOW, OVER, ASKED, SHORT), 0.0)
+    """Return the seconds that the viewer waited after the first picture, by the first of four reasons that holds."""
+    rungs, waits = rung_record(log), dict.fromkeys((FAULTS, BELOW, ASKED, SHORTAGE), 0.0)
     for position, segment in enumerate(log.shown):
         if segment.stall_s <= SHORTEST_S:
             continue
@@ -153,22 +125,19 @@ def find_waits(log: SessionLog) -> dict[str, float]:
         reasons = {
             FAULTS: segment.rung is None or any(f.retries for f in batches),
             BELOW: came_mbps < min(rung["mbps"] for rung in rungs),
-            OVER: 1.2e6 * came_mbps < max((f.throughput_bps for f in batches), default=0.0),
             ASKED: came_mbps < rungs[segment.rung or 0]["mbps"],
-            SHORT: True,
+            SHORTAGE: True,
         }
         waits[next(why for why in reasons if reasons[why])] += segment.stall_s
     return waits
 
 
 def answer(log: SessionLog) -> dict[str, str]:
-    """Return what a session comes to in whole sentences, by the keyframes of HEADS."""
-    m, waits, record, bound = log.metrics, find_waits(log), rung_record(log), _bound(log)
+    """Return what a session shows in whole sentences, by the keyframes of HEADS."""
+    m, waits, record, bound = log.metrics, find_waits(log), rung_record(log), session_bound(log)
     good, wrong = "The package was not measured: how good its pictures are is not known.", []
     if m.psnr_mean is not None:
-        seen = sorted(p for p in (log.shown[i].psnr for i, _ in log.screen_ticks) if p is not None)
-        worst = np.mean(seen[: max(1, len(seen) // 10)])
-        good = f"The screen showed {m.psnr_mean:.1f} dB on average, {worst:.1f} in its worst tenth."
+        good = f"The screen showed {m.psnr_mean:.1f} dB on average, {m.psnr_p5:.1f} dB as its 5th percentile."
     if bound is not None:
         good += f" No player could have shown more than {bound:.1f} dB at the same moments."
     if m.stalls:
@@ -190,19 +159,9 @@ def answer(log: SessionLog) -> dict[str, str]:
 
 
 def beaten_words(on_ladder: Mapping[str, bool]) -> str:
-    """Return which rungs no player should fetch, of those that were measured, and what of them only takes room.
-
-    `on_ladder`: of rungs by names such as Q1+L2. Empty where all are worth their bytes.
-    """
+    """Return which of the rungs that were measured no player should fetch; empty where all are worth their bytes."""
     beaten = [name for name, on in on_ladder.items() if not on]
-    if not beaten:
-        return ""
-    used = {part for name, on in on_ladder.items() if on for part in name.split("+")}
-    idle = sorted({part for name in beaten for part in name.split("+")} - used)
-    room = (
-        f"{listed(idle)} could be left out of the package" if idle else "their keyframes and deltas are parts of others"
-    )
-    return f"No player should fetch {listed(beaten)}: others show more for the same bytes; {room}."
+    return f"No player should fetch {listed(beaten)}: others show more for the same bytes." if beaten else ""
 
 
 def _to_show_more(log: SessionLog, bound: float | None) -> list[str]:
@@ -219,14 +178,13 @@ def _against(log: SessionLog, waits: Mapping[str, float]) -> list[str]:
     buffer = f"--player.buffer {2 * log.settings.buffer_s:g}"
     cautious = f"Be more cautious: {buffer if log.policy == DEFAULT_POLICY else f'--policy {DEFAULT_POLICY}'}."
     lowest_bps = 1e6 * min(rung["mbps"] for rung in rung_record(log))
-    bridge = f", or buffer more before ({buffer})" if (log.metrics.trace_mean_bps or 0.0) > lowest_bps else ""
-    startup_s = log.settings.startup_s + waits[SHORT] + 0.05  # rounded up
+    bridge = f", or buffer more before ({buffer})" if log.link and log.link.trace.mean_bps > lowest_bps else ""
+    startup_s = log.settings.startup_s + waits[SHORTAGE] + 0.05  # rounded up
     helps = {
         FAULTS: LOOK,
         BELOW: f"No policy helps where so little comes: encode a lower level (airgs-encode --levels){bridge}.",
-        OVER: cautious,
         ASKED: cautious,
-        SHORT: f"Buffer longer before playing: --player.startup {startup_s:.1f}.",
+        SHORTAGE: f"Buffer longer before playing: --player.startup {startup_s:.1f}.",
     }
     long = [why for why in sorted(waits, key=lambda why: -waits[why]) if waits[why] >= MUCH_WAIT * sum(waits.values())]
     return list(dict.fromkeys(helps[why] for why in long))

@@ -27,7 +27,7 @@ MAHIMAHI_MAX_MS = 86_400_000  # a day; a file with larger numbers is something e
 DEFAULT_RTT_S = 0.08  # median ping of LTE driving measurements
 LONGEST_S = 86_400.0  # of one batch: a stall is counted in frames, and those of years fill the memory
 MOST_BPS = 1e19  # beyond, the bound of a session has numbers that HiGHS takes for infinite
-ENDS = ("loop", "hold", "error")  # what follows the last second: the first one, the last rate, or nothing
+TRACE_ENDS = ("loop", "hold", "error")  # what follows the last second: the first one, the last rate, or nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,9 +41,7 @@ class Trace:
     starts_s: NDArray[np.float64]  # (K,) ascending from 0
     rates_bps: NDArray[np.float64]  # (K,) bit/s
     duration_s: float
-    scale: float = 1.0  # what the measured rates were multiplied by
-    offset_s: float = 0.0  # where in the measurement it begins
-    end: str = "loop"  # of ENDS
+    end: str = "loop"  # of TRACE_ENDS
     rtt_s: float | None = None  # round trip, where the measurement has one
 
     __repr__ = brief
@@ -55,14 +53,12 @@ class Trace:
         steps = np.diff(self.starts_s, append=self.duration_s)
         if not len(self.starts_s) or self.starts_s[0] != 0 or not (steps > 0).all():
             raise TransportError(f"{self.name}: expected times that ascend from 0")
-        if not (np.isfinite(self.rates_bps).all() and (self.rates_bps >= 0).all()):
-            raise TransportError(f"{self.name}: expected finite rates of 0 or more")
-        if self.rates_bps.max() > MOST_BPS:
-            raise TransportError(f"{self.name}: expected rates of at most {MOST_BPS:g} bit/s")
+        if not ((self.rates_bps >= 0) & (self.rates_bps <= MOST_BPS)).all():
+            raise TransportError(f"{self.name}: expected finite rates of 0 or more, at most {MOST_BPS:g} bit/s")
         if not self.rates_bps.any():
             raise TransportError(f"{self.name}: the rate is zero all the time, nothing would ever arrive")
-        if self.end not in ENDS:
-            raise TransportError(f"{self.name}: expected an end of {', '.join(ENDS)}, got {self.end}")
+        if self.end not in TRACE_ENDS:
+            raise TransportError(f"{self.name}: expected an end of {', '.join(TRACE_ENDS)}, got {self.end}")
         object.__setattr__(self, "_starts", self.starts_s.tolist())
         object.__setattr__(self, "_totals", list(accumulate((self.rates_bps * steps).tolist(), initial=0.0)))
 
@@ -72,18 +68,16 @@ class Trace:
         `markov:SEED[:MEAN_MBPS]`, a synthetic one. Raises TransportError for a file that cannot be read and for
         anything else.
         """
-        kind, _, rest = str(path_argument("trace", source)).partition(":")
-        numbers = rest.split(":")
+        kind, *numbers = str(path_argument("trace", source)).split(":")
         if kind not in ("const", "markov"):
             return read_trace(Path(source))
         try:
-            if kind == "const" and len(numbers) == 1:
-                return Trace(str(source), np.zeros(1), np.array([1e6 * float(rest)]), CONSTANT_S)
-            if kind == "markov" and len(numbers) <= 2:
-                return markov_trace(int(numbers[0]), 1e6 * float(numbers[1]) if len(numbers) > 1 else MARKOV_MEAN_BPS)
-        except ValueError:
-            pass
-        raise TransportError(f"{source}: expected const:MBPS or markov:SEED[:MEAN_MBPS]")
+            if kind == "markov":
+                return markov_trace(int(numbers[0]), *(1e6 * float(number) for number in numbers[1:]))
+            (mbps,) = numbers
+            return Trace(str(source), np.zeros(1), np.array([1e6 * float(mbps)]), CONSTANT_S)
+        except (ValueError, LookupError, TypeError) as error:
+            raise TransportError(f"{source}: expected const:MBPS or markov:SEED[:MEAN_MBPS]") from error
 
     @staticmethod
     def from_arrays(seconds: ArrayLike, mbit_s: ArrayLike, name: str = "arrays") -> Trace:
@@ -112,12 +106,11 @@ class Trace:
         return float(self.rates_bps[bisect_right(self._starts, at_s % self.duration_s) - 1])
 
     def bits_until(self, at_s: float) -> float:
-        """Return the integral of the rate from 0 to `at_s`."""
-        rounds, rest = divmod(at_s, self.duration_s)
+        rounds, remainder = divmod(at_s, self.duration_s)
         if rounds > 0 and self.end != "loop":
             return self._totals[-1] + self.rate_at(at_s) * (at_s - self.duration_s)
-        i = bisect_right(self._starts, rest) - 1
-        return rounds * self._totals[-1] + self._totals[i] + float(self.rates_bps[i]) * (rest - self._starts[i])
+        i = bisect_right(self._starts, remainder) - 1
+        return rounds * self._totals[-1] + self._totals[i] + float(self.rates_bps[i]) * (remainder - self._starts[i])
 
     def arrival_s(self, size_bytes: float, at_s: float) -> float:
         """Return when `size_bytes` have passed, the first bit at `at_s`: the inverse of the integral.
@@ -136,16 +129,13 @@ class Trace:
         if target > 2.0**53 * totals[-1]:
             return math.inf
         rounds = math.floor(target / totals[-1])
-        rest = min(target - rounds * totals[-1], totals[-1])  # more is rounding of the products
-        if rest <= 0 and rounds > 0:  # done exactly at the end of a round: when its last bit came
-            rounds, rest = rounds - 1, totals[-1]
-        i = max(0, bisect_left(totals, rest) - 1)
+        remainder = min(target - rounds * totals[-1], totals[-1])  # more is rounding of the products
+        if remainder <= 0 and rounds > 0:  # done exactly at the end of a round: when its last bit came
+            rounds, remainder = rounds - 1, totals[-1]
+        i = max(0, bisect_left(totals, remainder) - 1)
         rate = float(self.rates_bps[i])
-        inside = (rest - totals[i]) / rate if rate > 0 else 0.0
+        inside = (remainder - totals[i]) / rate if rate > 0 else 0.0
         return max(at_s, rounds * self.duration_s + self._starts[i] + inside)
-
-    def ending(self, end: str) -> Trace:
-        return replace(self, end=end)
 
     def cut(self, offset_s: float = 0.0, scale: float = 1.0) -> Trace:
         """Return the trace begun at `offset_s` (what lies before comes last), its rates times `scale`."""
@@ -157,9 +147,8 @@ class Trace:
         later, earlier = self.starts_s[first:] - offset_s, self.starts_s[: first + 1] + self.duration_s - offset_s
         starts = np.concatenate([np.maximum(later, 0), earlier])
         rates = np.concatenate([self.rates_bps[first:], self.rates_bps[: first + 1]]) * scale
-        inside, begins = starts < self.duration_s, (self.offset_s + offset_s) % self.duration_s
-        total = self.scale * scale
-        return replace(self, starts_s=starts[inside], rates_bps=rates[inside], scale=total, offset_s=begins)
+        inside = starts < self.duration_s
+        return replace(self, starts_s=starts[inside], rates_bps=rates[inside])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,15 +167,10 @@ class Link:
 
     @staticmethod
     def over(trace: Trace, rtt_s: float | None = None) -> Link:
-        """Make a link with the given round trip, else the trace's own, else DEFAULT_RTT_S."""
-        known = trace.rtt_s if rtt_s is None else rtt_s
-        return Link(trace, DEFAULT_RTT_S if known is None else known)
+        given = trace.rtt_s if rtt_s is None else rtt_s
+        return Link(trace, DEFAULT_RTT_S if given is None else given)
 
-    def arrival_s(self, wire_bytes: float, at_s: float) -> float:
-        """Return when the last byte of a batch requested at `at_s` arrives. Raises TransportError as `passed_s`."""
-        return self.passed_s(wire_bytes, at_s + self.rtt_s)
-
-    def passed_s(self, wire_bytes: float, first_s: float) -> float:
+    def arrival_s(self, wire_bytes: float, first_s: float) -> float:
         """Return when the last byte of a batch has passed whose first one passes at `first_s`.
 
         Raises TransportError for a trace that ends too soon, and for a batch that takes longer than LONGEST_S.
@@ -198,7 +182,6 @@ class Link:
         return end_s
 
     def bytes_between(self, start_s: float, stop_s: float) -> float:
-        """Return how many bytes can pass from one moment to another."""
         return max(0.0, self.trace.bits_until(stop_s) - self.trace.bits_until(start_s)) / 8
 
 
@@ -273,8 +256,8 @@ def _read_plain(name: str, lines: Sequence[str]) -> Trace:
         rows = rows[1:]
     if not rows:
         raise ValueError("no rows after the header")
-    if short := next((line for line, row in zip(lines[-len(rows) :], rows, strict=True) if len(row) < 2), None):
-        raise ValueError(f"no rate in {short[:40]!r}")
+    if short := next((row for row in rows if len(row) < 2), None):
+        raise ValueError(f"no rate in {short[0][:40]!r}")
     return Trace.from_arrays([float(row[0]) for row in rows], [float(row[1]) for row in rows], name)
 
 
@@ -288,7 +271,7 @@ def _read_sabre(name: str, periods: list[dict[str, float]]) -> Trace:
 
 
 def _read_mahimahi(name: str, times_ms: Sequence[int]) -> Trace:
-    """Each line is a chance to deliver one packet in the millisecond that ends there."""
+    """Each line is a chance to deliver one packet in the millisecond before it."""
     if any(b < a for a, b in pairwise(times_ms)):
         raise ValueError("times do not ascend")
     if times_ms[-1] > MAHIMAHI_MAX_MS:

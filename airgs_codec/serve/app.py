@@ -15,10 +15,8 @@ import os
 import socket
 import ssl
 import stat
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from hypercorn.asyncio import serve as serve_asgi
 from hypercorn.config import Config
@@ -27,13 +25,13 @@ from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.layout import INIT_NAME, JSON_NAME, MEDIA_TYPES, MPD_NAME, POSTER_NAME, belongs
+from airgs_codec.package.layout import INIT_NAME, JSON_NAME, MEDIA_TYPES, POSTER_NAME, belongs
 from airgs_codec.package.package import REPR_DIGEST, repr_digest
 from airgs_codec.package.tables import shorten
 from airgs_codec.serve import pages
@@ -67,54 +65,46 @@ CONNECTION_REQUESTS = 1_000_000  # a viewer's connection lives as long as a sequ
 
 
 class Packages:
-    """The folders of packages by their names: those named one by one, and those in folders that hold packages."""
+    """The folders of packages by their names, of those named one by one and those in folders that hold packages."""
 
     def __init__(self, folders: list[Path]) -> None:
         """`folders`: packages, and folders that hold packages, of which new ones are found as they appear.
 
         Raises ConfigError for a folder of neither kind and for two packages of one name.
         """
-        self._named: dict[str, Path] = {}
-        self._holders: list[Path] = []
-        known: dict[str, Path] = {}
+        self._named = {path.resolve().name: path.absolute() for path in folders if _is_package(path)}
+        self._holders = [path.absolute() for path in folders if not _is_package(path)]
+        names: set[str] = set()
         for folder in folders:
-            if _is_package(folder):
-                found = {folder.resolve().name: folder.absolute()}
-                self._named |= found
-            else:
-                found = _packages_in(folder.absolute())
-                self._holders.append(folder.absolute())
+            found = [folder.resolve().name] if _is_package(folder) else [*_packages_in(folder)]
             # without any files but hidden ones: packages may be on their way
             is_empty = folder.is_dir() and all(path.name.startswith(".") for path in folder.iterdir())
             if not found and not is_empty:
                 kinds = f"a package with {JSON_NAME}, a folder with packages or an empty one"
                 raise ConfigError(f"{folder}: expected {kinds}, got nothing of that kind")
-            for name in sorted(found.keys() & known.keys()):
-                raise ConfigError(f"{found[name]}: expected packages of different names, got {name} twice")
-            known |= found
+            if twice := names.intersection(found):
+                raise ConfigError(f"{folder}: expected packages of different names, got {min(twice)} twice")
+            names.update(found)
 
     def now(self) -> dict[str, Path]:
-        """Those that are there now. Where a name has come up twice, the folder that was named first has it."""
+        """Return the packages of this moment. Of two with one name, that of the folder which was named first."""
         found: dict[str, Path] = {}
         for holder in reversed(self._holders):
             found |= _packages_in(holder)
         return found | self._named
 
     def find(self, name: str) -> Path | None:
-        """The folder of a package, None where there is no such package."""
-        held = (holder / name for holder in self._holders)
-        return self._named.get(name) or next(filter(_is_held, held), None)
+        return self._named.get(name) or next(filter(_is_listed, (holder / name for holder in self._holders)), None)
 
 
 def _is_package(folder: Path) -> bool:
     return os.path.isfile(folder / JSON_NAME)  # False, too, where it may not be looked at
 
 
-def _is_held(folder: Path) -> bool:
-    """Whether a folder is a package: no link, nothing hidden, and no name that an address cannot have."""
+def _is_listed(folder: Path) -> bool:
+    """Return whether a folder is a package: no link, nothing hidden, and no name that an address cannot have."""
     name = folder.name
-    usable = not name.startswith(".") and name.isprintable() and not os.path.islink(folder)
-    return usable and _is_package(folder)
+    return not name.startswith(".") and name.isprintable() and not os.path.islink(folder) and _is_package(folder)
 
 
 def _packages_in(holder: Path) -> dict[str, Path]:
@@ -122,19 +112,17 @@ def _packages_in(holder: Path) -> dict[str, Path]:
         names = sorted(os.listdir(holder))
     except OSError:
         return {}
-    return {name: holder / name for name in names if _is_held(holder / name)}
+    return {name: holder / name for name in names if _is_listed(holder / name)}
 
 
 def media_type(path: str) -> str | None:
-    """The media type of a file of a package by its path, None for a path that no file of a package has."""
-    if not belongs(path):
-        return None
+    """Return the media type of a file of a package by its path, None for a path that no file of a package has."""
     name = path.rpartition("/")[2]
-    return MEDIA_TYPES.get(name[name.index(".") :])
+    return MEDIA_TYPES.get(name[name.index(".") :]) if belongs(path) else None
 
 
 def find_file(folder: Path, path: str) -> tuple[str, os.stat_result] | None:
-    """A plain file below a folder that can be read, no link on the way to it; None if there is none."""
+    """Return a plain file below a folder that can be read, with no link on the way to it, or None."""
     try:
         file = os.path.realpath(folder / path, strict=True)
         found = os.stat(file)
@@ -145,34 +133,19 @@ def find_file(folder: Path, path: str) -> tuple[str, os.stat_result] | None:
 
 
 def make_app(packages: Packages) -> Starlette:
-    """The ASGI application that serves these packages."""
 
     async def index(request: Request) -> Response:
-        """The packages, as JSON where the client asks for it, else as a page."""
-        headers = {"Cache-Control": CHECKED, "Vary": "Accept"}
-        now = await asyncio.to_thread(packages.now)
-        if "application/json" in request.headers.get("accept", ""):
-            listed = [
-                {
-                    "name": name,
-                    "play": player_address(name),
-                    "tables": f"/{quote(name)}/{JSON_NAME}",
-                    "mpd": f"/{quote(name)}/{MPD_NAME}",
-                }
-                for name in sorted(now)
-            ]
-            return JSONResponse(listed, headers=headers)
-        page = await asyncio.to_thread(list_page, now)
-        return HTMLResponse(page, headers=headers | {"Content-Security-Policy": content_policy(page)})
+        page = await asyncio.to_thread(lambda: list_page(packages.now()))
+        return HTMLResponse(page, headers={"Cache-Control": CHECKED, "Content-Security-Policy": content_policy(page)})
 
     async def player(request: Request) -> Response:
         name = request.path_params["page"]
         kind = PAGE_TYPES.get(name)
-        response = await asyncio.to_thread(_answer, request, pages.PAGE, name, kind) if kind else None
+        response = await asyncio.to_thread(_answer, request, pages.PAGE_FOLDER, name, kind) if kind else None
         return response or PlainTextResponse(f"{NOT_BUILT if kind else 'no such file'}\n", 404)
 
     async def file(request: Request) -> Response:
-        """A file of a package; the folder itself leads to the player."""
+        """Return a file of a package; the folder itself leads to the player."""
         name, path = request.path_params["name"], request.path_params["path"]
         kind, response = media_type(path), None
         if (kind or not path) and (folder := await asyncio.to_thread(packages.find, name)):
@@ -186,46 +159,41 @@ def make_app(packages: Packages) -> Starlette:
         Route("/{page}", player),  # never a file of a package: those lie below a name
         Route("/{name}/{path:path}", file),
     ]
-    app = Starlette(routes=routes, middleware=[Middleware(_Gate)])
+    app = Starlette(routes=routes, middleware=[Middleware(_gate)])
     app.router.redirect_slashes = False
     return app
 
 
-class _Gate:
-    """Refuses requests with a body or huge headers, answers OPTIONS, and adds to every response what all have."""
+def _gate(app: ASGIApp) -> ASGIApp:
+    """Return an application that answers OPTIONS, refuses bodies and huge headers, and adds headers to responses."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-
+    async def gated(scope: Scope, receive: Receive, send: Send) -> None:
         async def send_more(message: Message) -> None:
             if message["type"] == "http.response.start":
                 MutableHeaders(scope=message).update(EVERYWHERE)
             await send(message)
 
+        chosen = (_refusal(scope) or app) if scope["type"] == "http" else app
         with contextlib.suppress(OSError):  # the connection is broken, or the file is gone: the answer ends
-            await self._choose(scope)(scope, receive, send_more)
+            await chosen(scope, receive, send_more)
 
-    def _choose(self, scope: Scope) -> ASGIApp:
-        headers = Headers(scope=scope)
-        sizes = [len(scope["raw_path"]), len(scope["query_string"]), *(len(n) + len(v) for n, v in headers.raw)]
-        # A refusal ends the connection, too, so that what follows is never taken for a request.
-        end = {"Connection": "close"}
-        if scope["method"] not in METHODS.split(", "):
-            return PlainTextResponse(f"expected {METHODS}\n", 405, {**end, "Allow": METHODS})
-        if sum(sizes) > HEAD_BYTES:
-            return PlainTextResponse(f"expected at most {HEAD_BYTES} bytes of headers\n", 431, end)
-        if "transfer-encoding" in headers or headers.get("content-length", "0") != "0":
-            return PlainTextResponse("expected no body\n", 413, end)
-        return Response(status_code=204, headers=PREFLIGHT) if scope["method"] == "OPTIONS" else self._app
+    return gated
+
+
+def _refusal(scope: Scope) -> Response | None:
+    headers = Headers(scope=scope)
+    sizes = [len(scope["raw_path"]), len(scope["query_string"]), *(len(n) + len(v) for n, v in headers.raw)]
+    end = {"Connection": "close"}  # so that what follows a refusal is never taken for a request
+    if scope["method"] not in METHODS.split(", "):
+        return PlainTextResponse(f"expected {METHODS}\n", 405, {**end, "Allow": METHODS})
+    if sum(sizes) > HEAD_BYTES:
+        return PlainTextResponse(f"expected at most {HEAD_BYTES} bytes of headers\n", 431, end)
+    if "transfer-encoding" in headers or headers.get("content-length", "0") != "0":
+        return PlainTextResponse("expected no body\n", 413, end)
+    return Response(status_code=204, headers=PREFLIGHT) if scope["method"] == "OPTIONS" else None
 
 
 def _answer(request: Request, folder: Path, path: str, kind: str) -> Response | None:
-    """The response with a file; None where there is none."""
     found = find_file(folder, path)
     if found is None:
         return None
@@ -255,23 +223,8 @@ def _answer(request: Request, folder: Path, path: str, kind: str) -> Response | 
     return response
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Certificate:
-    """Files of a TLS certificate with its chain, and of its key, both PEM."""
-
-    chain: Path
-    key: Path
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ServerSettings:
-    certificate: Certificate | None = None  # for https and HTTP/2 in browsers
-    patience_s: float = PATIENCE_S  # for the headers of a request, and for the next request
-    grace_s: float = 3.0  # for answers under way when the server stops
-
-
 def listen(host: str, port: int, patience_s: float = PATIENCE_S) -> socket.socket:
-    """A socket that takes connections; port 0 stands for any free one.
+    """Return a socket that takes connections; port 0 stands for any free one.
 
     The kernel drops a client that takes nothing for `patience_s`, where it knows TCP_USER_TIMEOUT (RFC 5482).
     Connections inherit that and TCP_NODELAY from the socket; those made before `serve` runs have them, too.
@@ -292,29 +245,40 @@ def listen(host: str, port: int, patience_s: float = PATIENCE_S) -> socket.socke
     return listening
 
 
-def check_certificate(certificate: Certificate) -> None:
-    """Raises ConfigError for files that are no certificate with its key."""
+def check_certificate(chain: Path, key: Path) -> None:
+    """Raise ConfigError for PEM files that are no certificate with its key."""
     try:
-        ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(certificate.chain, certificate.key)
+        ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(chain, key)
     except OSError as error:  # ssl.SSLError is one
-        raise ConfigError(f"{certificate.chain}: expected a PEM certificate with its key, got: {error}") from error
+        raise ConfigError(f"{chain}: expected a PEM certificate with its key, got: {error}") from error
 
 
-async def serve(app: ASGIApp, listening: socket.socket, settings: ServerSettings, stop: asyncio.Event) -> None:
-    """Serve an ASGI application on a listening socket, which it closes, until `stop` is set."""
+async def serve(
+    app: ASGIApp,
+    listening: socket.socket,
+    stop: asyncio.Event,
+    certificate: tuple[Path, Path] | None = None,
+    patience_s: float = PATIENCE_S,
+    grace_s: float = 3.0,
+) -> None:
+    """Serve an ASGI application on a listening socket, which it closes, until `stop` is set.
+
+    `certificate`: PEM files of a TLS certificate with its chain, and of its key, for https and HTTP/2 in browsers;
+    `patience_s`: for the headers of a request, and for the next request; `grace_s`: for answers under way at the end.
+    """
     config = Config()
     config.bind = [f"fd://{listening.detach()}"]
     config.backlog = BACKLOG
     config.h11_max_incomplete_size = config.h2_max_header_list_size = HEAD_BYTES
-    config.keep_alive_timeout = settings.patience_s  # Hypercorn counts until the headers of a request are whole
-    config.read_timeout = max(1, round(SILENCE * settings.patience_s))  # the only limit on HTTP/2 without a request
+    config.keep_alive_timeout = patience_s  # Hypercorn counts until the headers of a request are whole
+    config.read_timeout = max(1, round(SILENCE * patience_s))  # the only limit on HTTP/2 without a request
     config.keep_alive_max_requests = CONNECTION_REQUESTS
-    config.graceful_timeout = settings.grace_s
+    config.graceful_timeout = grace_s
     config.include_server_header = False
     config.errorlog = logging.getLogger("airgs_codec.serve")
-    if settings.certificate:
-        config.certfile, config.keyfile = os.fspath(settings.certificate.chain), os.fspath(settings.certificate.key)
-        config.ssl_handshake_timeout = settings.patience_s
+    if certificate:
+        config.certfile, config.keyfile = map(os.fspath, certificate)
+        config.ssl_handshake_timeout = patience_s
     asyncio.get_running_loop().set_exception_handler(_report)
     await serve_asgi(app, config, shutdown_trigger=stop.wait)  # type: ignore[arg-type]
 

@@ -1,10 +1,10 @@
 """Packages and the page that plays them as a folder for any static host, such as GitHub Pages.
 
-index.html           plays the package; a list with pictures where there are several
-play/NAME.html       where there are several: plays one of them
+index.html           plays the package; of several packages a list with pictures
+play/NAME.html       plays one of several
 airgs-player.js      the player
 airgs-vr.js          what it loads for a headset
-airgs-more.js        what it loads once there is a picture: keys, gestures, menu, figures and the like
+airgs-more.js        what it loads after the first picture: keys, gestures, menu, figures and the like
 airgs-sound.js       what it loads for a package with sound
 packages/NAME/       a package, as it was
 .nojekyll            tells GitHub Pages to serve every file as it is
@@ -41,11 +41,10 @@ from airgs_codec.serve.pages import (
     title_of,
 )
 
-PLAIN = ".nojekyll"
-PARALLEL = 8  # files that are read at a time
+NO_JEKYLL = ".nojekyll"
 INDEX, PACKAGES, PAGES = "index.html", "packages", "play"
 MADE_BY = '<meta name="generator" content="airgs-manifest export-page">'
-STYLE = """
+PLAYER_STYLE = """
 html, body { height: 100%; margin: 0; background: #000 }
 body { display: flex; flex-direction: column }
 airgs-player { display: block; flex: 1; min-height: 0; aspect-ratio: auto }
@@ -67,7 +66,7 @@ def export_page(
     place of one that was exported before.
 
     packages: folders or addresses of finished packages.
-    title: of the page; by default the package's name, or "Scenes" where there are several.
+    title: of the page; by default the package's name, or "Scenes" for several.
     address: where the folder will be on the web; previews of links show a picture only with its whole address.
 
     Raises FormatError and TransportError for a package that cannot be read, ConfigError where one is still growing,
@@ -75,18 +74,18 @@ def export_page(
     """
     target = Path(folder).resolve()
     if not pages.is_built():
-        raise ConfigError(f"{pages.PAGE}: {pages.NOT_BUILT}")
+        raise ConfigError(f"{pages.PAGE_FOLDER}: {pages.NOT_BUILT}")
     opened = dict(map(_open, packages))
     if not opened or len(opened) < len(packages):
         raise ConfigError(f"{folder}: expected packages of different names, got {', '.join(map(str, packages))}")
     with staged_folder(target, _is_site, "exported page") as stage:
-        (stage / PLAIN).touch()
+        (stage / NO_JEKYLL).touch()
         for name in PLAYER_SCRIPTS:
-            shutil.copyfile(pages.PAGE / name, stage / name)
+            shutil.copyfile(pages.PAGE_FOLDER / name, stage / name)
         made = []
         for name, package in opened.items():
-            copied = _copy(package, name, Folder(stage / PACKAGES / name), progress)
-            made.append(Exported(name, look_at(package.manifest, package.root_bytes + package.mpd_bytes), copied))
+            _copy(package, name, Folder(stage / PACKAGES / name), progress)
+            made.append(Exported(name, look_at(package.manifest, package.root_bytes + package.mpd_bytes)))
         _write_pages(stage, made, title, address)
     return made
 
@@ -101,49 +100,46 @@ def _open(place: str | Path) -> tuple[str, Package]:
 
 def _is_site(folder: Path) -> bool:
     """Return whether an exported page and nothing else is at the top of a folder."""
-    ours = {INDEX, PLAIN, *PLAYER_SCRIPTS, PACKAGES, PAGES}
+    ours = {INDEX, NO_JEKYLL, *PLAYER_SCRIPTS, PACKAGES, PAGES}
     index = folder / INDEX
     if not index.is_file() or not {path.name for path in folder.iterdir()} <= ours:
         return False
     return MADE_BY.encode() in index.read_bytes()
 
 
-def _copy(package: Package, name: str, target: Folder, progress: Progress) -> int:
-    """Copy the files of a package, checked, and give their length together."""
+def _copy(package: Package, name: str, target: Folder, progress: Progress) -> None:
+    """Copy the files of a package, eight at a time, and check them."""
     m, source = package.manifest, package.files
     batches = 1 + len(m.groups)
-    size = 0
-    with ThreadPoolExecutor(PARALLEL) as pool:
+    with ThreadPoolExecutor(8) as pool:
         for number in range(batches):
             paths = m.group_files(number - 1) if number else [*m.shared_files(), *m.table_files()]
             entries = [m.entry(path) for path in paths]
             for path, data in zip(paths, pool.map(read_file, repeat(source), paths, entries), strict=True):
-                size += write_file(target, path, data).bytes
+                write_file(target, path, data)
             progress(f"copying {name}", 1 + number, batches)
-    size += sum(write_file(target, path, data).bytes for path, data in still_files(m))
     roots = {path: find_file(source, path)[1]() for path in (MPD_NAME, JSON_NAME)}
     check_mpd(roots[MPD_NAME], m)
     for path in m.shared_files():
         check_shared(package, path)
     if parse_root(roots[JSON_NAME]) != root_of(m):
         raise ConfigError(f"{source.name}: expected a package that stays as it is, got one that changed meanwhile")
-    return size + sum(write_file(target, path, data).bytes for path, data in roots.items())
+    for path, data in [*still_files(m), *roots.items()]:
+        write_file(target, path, data)
 
 
 @dataclass(frozen=True, slots=True)
 class Exported:
     name: str
     seen: Glance
-    bytes: int  # of its files
 
     @property
     def folder(self) -> str:
-        """Its address from the top of the site."""
         return f"{PACKAGES}/{quote(self.name)}/"
 
 
 def _write_pages(site: Path, packages: Sequence[Exported], title: str | None, address: str) -> None:
-    """Write the pages for `packages` into a folder that is going to be at `address`, "" where nobody knows it."""
+    """Write the pages for `packages` into a folder that is going to be at `address`, "" where that is not known."""
     root = f"{address.rstrip('/')}/" if address else ""
     if len(packages) == 1:
         written = {INDEX: _player_page(packages[0], title or title_of(packages[0].name), "", root)}
@@ -158,7 +154,7 @@ def _write_pages(site: Path, packages: Sequence[Exported], title: str | None, ad
 
 
 def _player_page(package: Exported, title: str, up: str, root: str) -> str:
-    """A page that plays one package; `up` leads from it to the top of the site."""
+    """Return a page that plays one package; `up` leads from it to the top of the site."""
     seen, source = package.seen, html.escape(f"{up}{package.folder}")
     poster = f' poster="{source}{POSTER_NAME}"' if seen.has_poster else ""
     credit = f"<footer>{html.escape(seen.credit)}</footer>\n" if seen.credit else ""
@@ -168,11 +164,11 @@ def _player_page(package: Exported, title: str, up: str, root: str) -> str:
         f'<script type="module" src="{up}{PLAYER_SCRIPT}"></script>\n'
         "<noscript>This page plays a scene with JavaScript.</noscript>\n"
     )
-    return page_of(title, policy + _preview(package, title, up, root), STYLE, body)
+    return page_of(title, policy + _preview(package, title, up, root), PLAYER_STYLE, body)
 
 
 def _preview(package: Exported, title: str, up: str, root: str) -> str:
-    """Who made the page, and what others show of a link to it (ogp.me)."""
+    """Return who made the page, and what others show of a link to it (ogp.me)."""
     words = f"{package.seen.words}\n{package.seen.credit}".strip()
     values = {"og:type": "website", "og:title": title, "og:description": words}
     if package.seen.has_poster:

@@ -22,9 +22,9 @@ from airgs_codec.package.layout import JSON_NAME, MPD_NAME, POSTER_NAME
 from airgs_codec.package.manifest import Groups, Manifest, quality_of
 from airgs_codec.package.package import open_package
 
-PAGE = Path(__file__).parent / "page"
+PAGE_FOLDER = Path(__file__).parent / "page"
 PLAYER_PAGE, PLAYER_SCRIPT = "player.html", "airgs-player.js"
-# the first loads the others, from beside it
+# the first loads the others, from the same folder
 PLAYER_SCRIPTS = (PLAYER_SCRIPT, "airgs-vr.js", "airgs-more.js", "airgs-sound.js")
 MODULES = ("airgs.js", "airgs-frames.js")  # for pages of others
 PAGE_TYPES = {PLAYER_PAGE: "text/html"} | dict.fromkeys((*PLAYER_SCRIPTS, *MODULES), "text/javascript")
@@ -40,10 +40,14 @@ _POLICY = {  # what a page may load, of each kind; nothing of any other
     "form-action": "'none'",
 }
 _INLINE = re.compile(r"<script\b(?![^>]*\bsrc\s*=)[^>]*>(.*?)</script>", re.DOTALL | re.IGNORECASE)
-SUFFIX = ".airgs"  # of a package's name, which titles leave out
-PASSING = ("missing_file", "unsafe_path", "size_mismatch", "hash_mismatch")  # can be mended beside airgs.json
-LOOKED_AT = 8  # groups of a package: a longer one would take too long
-STYLE = """
+PASSING = (
+    "missing_file",
+    "unsafe_path",
+    "size_mismatch",
+    "hash_mismatch",
+)  # pass without a change of airgs.json
+GROUPS_READ = 8  # of a package, at most: more would take too long
+LIST_STYLE = """
 :root { color-scheme: light dark }
 body { font: 1rem/1.45 system-ui, sans-serif; margin: 0 auto; max-width: 76rem; padding: 1rem }
 h1 { font-size: 1.4rem; margin: 0 0 1rem }
@@ -62,7 +66,7 @@ _log = logging.getLogger(__name__)
 
 
 def content_policy(page: str) -> str:
-    """The Content-Security-Policy of an HTML page: what the player needs, and the scripts that stand in the page."""
+    """Return the Content-Security-Policy of an HTML page: what the player needs, and the scripts inside the page."""
     digests = [hashlib.sha256(script.encode()).digest() for script in _INLINE.findall(page)]
     scripts = [f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests]
     policy = _POLICY | {"script-src": " ".join([_POLICY["script-src"], *scripts])}
@@ -70,34 +74,28 @@ def content_policy(page: str) -> str:
 
 
 def player_address(name: str) -> str:
-    """The address, from the root, that plays the package `name` of the same server."""
+    """Return the address, from the root, that plays the package `name` of the same server."""
     return f"/{PLAYER_PAGE}?src={quote(f'{quote(name)}/', safe='/')}"
 
 
 def is_built() -> bool:
-    """Return whether the page is there; only a clone of the repository in which it was deleted has none."""
-    return all((PAGE / name).is_file() for name in PAGE_TYPES)
+    """Return whether the page was built; only a clone of the repository in which it was deleted has none."""
+    return all((PAGE_FOLDER / name).is_file() for name in PAGE_TYPES)
 
 
 @dataclass(frozen=True, slots=True)
 class Glance:
-    """A package in a few figures: its length, its bytes, and its best rung, which is the first."""
-
-    frames: int
-    bytes: int  # of all files; scaled up to all frames where only the first groups were looked at
-    whole: bool  # whether all groups were looked at
-    psnr: float | None  # dB of the best rung, None where it was not measured
-    words: str  # all of that, for people
+    words: str  # its length, its bytes, and the rate and PSNR of its best rung, which is the first
     credit: str  # whom the scene is by
     has_poster: bool
 
 
 def look_at(m: Manifest, root_bytes: int) -> Glance:
-    """The figures of a package from the tables of at most LOOKED_AT groups. Raises FormatError where they are refused.
+    """Return what to say of a package from the tables of at most GROUPS_READ groups, scaled up to all frames.
 
-    `root_bytes`: of its airgs.json and MPD.
+    `root_bytes`: of its airgs.json and MPD. Raises FormatError where tables are refused.
     """
-    first, whole = m.groups[:LOOKED_AT], len(m.groups) <= LOOKED_AT
+    first, whole = m.groups[:GROUPS_READ], len(m.groups) <= GROUPS_READ
     part = m if whole else replace(m, frames=first[-1].stop, groups=Groups.of(first))
     listed = part.media_bytes() + part.bytes_of(part.table_files())
     size = root_bytes + listed * m.frames // part.frames
@@ -110,13 +108,12 @@ def look_at(m: Manifest, root_bytes: int) -> Glance:
         f"{about}{rate / 1e6:.3g} Mbit/s{f' and {quality.psnr:.1f} dB' if quality else ''} at best",
         *(["live"] if m.live else []),
     ]
-    psnr = quality.psnr if quality else None
-    return Glance(m.frames, size, whole, psnr, " · ".join(words), m.attribution, m.poster is not None)
+    return Glance(" · ".join(words), m.attribution, m.poster is not None)
 
 
 @lru_cache(256)
 def _look(folder: Path, stamp: tuple[int, int]) -> Glance | str:
-    """The package whose airgs.json has this stamp. Raises AirgsError, OSError for faults that may pass."""
+    """Return what to say of a package by the stamp of its airgs.json. Raises AirgsError, OSError for passing faults."""
     try:
         package = open_package(folder)
         return look_at(package.manifest, package.root_bytes + package.mpd_bytes)
@@ -127,7 +124,7 @@ def _look(folder: Path, stamp: tuple[int, int]) -> Glance | str:
 
 
 def describe(folder: Path) -> Glance | str:
-    """The package in a folder, or what is wrong with it: no package keeps others from being listed."""
+    """Return what to say of the package in a folder, or what is wrong with it: others are listed all the same."""
     try:
         found = (folder / JSON_NAME).stat()
         seen = _look(folder, (found.st_mtime_ns, found.st_size))
@@ -140,28 +137,26 @@ def describe(folder: Path) -> Glance | str:
 
 
 def title_of(name: str) -> str:
-    """The name of a package as a title."""
-    return name.removesuffix(SUFFIX)
+    return name.removesuffix(".airgs")
 
 
 def escape(text: str) -> str:
-    """Text of a package as HTML, with nothing in it that is not seen or cannot be sent."""
+    """Return text of a package as HTML, with nothing in it that is not seen or cannot be sent."""
     return html.escape("".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text))
 
 
 def list_page(packages: Mapping[str, Path]) -> str:
-    """The page at the root of the server."""
     rows = ((name, player_address(name), f"/{quote(name)}/", describe(packages[name])) for name in sorted(packages))
     return page_of_cards("Packages", [card(*row) for row in rows])
 
 
 def page_of_cards(title: str, cards: Sequence[str], head: str = "") -> str:
     rows = "".join(f"<li>{one}</li>\n" for one in cards)
-    return page_of(title, head, STYLE, f"<h1>{html.escape(title)}</h1>\n<ul>\n{rows}</ul>\n")
+    return page_of(title, head, LIST_STYLE, f"<h1>{html.escape(title)}</h1>\n<ul>\n{rows}</ul>\n")
 
 
 def page_of(title: str, head: str, style: str, body: str) -> str:
-    """An HTML page; `head`: more elements of its head, `body`: HTML."""
+    """Return an HTML page; `head`: more elements of its head, `body`: HTML."""
     return (
         f'<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n<title>{html.escape(title)}</title>\n'
         '<meta name="viewport" content="width=device-width">\n<link rel="icon" href="data:,">\n'
@@ -170,7 +165,7 @@ def page_of(title: str, head: str, style: str, body: str) -> str:
 
 
 def card(name: str, page: str, folder: str, seen: Glance | str) -> str:
-    """A package as HTML; `page` plays it, and its files are in `folder`, which ends in /: both are addresses."""
+    """Return a package as HTML; `page` plays it, and its files are in `folder`, which ends in /: both are addresses."""
     root = html.escape(folder)
     if isinstance(seen, str):
         picture, lines = "", [seen]

@@ -33,7 +33,7 @@ def test_a_url_is_played_over_http(capsys, tmp_path):
     result = json.loads(capsys.readouterr().out)
     assert film.read_bytes()[4:8] == b"ftyp" and (report / "index.html").exists()
     assert result["startup_requests"] == 7 and result["startup_bytes"] > result["startup_table_bytes"] > 0
-    assert (result["lost"], result["retried"], result["trace"]) == ([], [], None)
+    assert (result["lost"], result["retried"]) == ([], [])
 
 
 def test_json_repeats_exactly_with_a_report_and_a_film_and_without(capsys, tmp_path):
@@ -41,7 +41,7 @@ def test_json_repeats_exactly_with_a_report_and_a_film_and_without(capsys, tmp_p
     status, out, err = play(capsys, *options)
     assert (status, out, err) == play(capsys, *options, "--report", report, "--video", film) == (0, out, "")
     result = json.loads(out)
-    assert result["trace_scale"] == 1.0 and result["trace"] == "trace.csv" and result["frames"] > 0
+    assert result["frames"] > 0
     assert result["region"]["source"] == "orbit"
     assert (report / "index.html").exists() and film.read_bytes()[4:8] == b"ftyp"
 

@@ -86,7 +86,7 @@ MISTAKES = {  # words that follow those of the command, and what is said of them
     },
     "play TWO --trace TRACE --policy fixed:0": {
         "--rtt -1": "round trip", "--rtt nan": "round trip", "--player.loops 0": "loops",
-        "--player.budget 0": "budget: expected at least 1 Gaussian", "--player.budget 1": "Gaussians or more, got 1",
+        "--player.budget 0": "budget: expected at least 1, got 0", "--player.budget 1": "Gaussians or more, got 1",
         "--player.budget 9 --compare": "--player.budget: expected a single session",
         "--report never --compare": "--report: expected a single session", "--player.buffer nan": "buffer",
         "--offset 1e9": "offset", "--scale 0": "scale",

@@ -98,10 +98,6 @@ def test_what_many_groups_leave_out_alike_is_one_line():
     left_out = [[LeftOut("gaussians", 5 + g, 1e-5 * (g + 1), 100.0)] for g in range(6)]
     groups = [replace(group, left_out=left) for group, left in zip(m.groups, left_out, strict=True)]
     lines = describe_left_out(replace(m, groups=in_groups(groups)))
-    assert lines[0] == "6 groups: 5-10 Gaussians: at worst 42.2 dB by itself, 0.10 kB/frame saved"
-    assert not any(line.startswith("group") for line in lines)
-    few = describe_left_out(replace(m, groups=in_groups([*groups[:2], *m.groups[2:]])))
-    assert few[:2] == [
-        "group 0: 5 Gaussians: 50.0 dB by itself, 0.10 kB/frame saved",
-        "group 1: 6 Gaussians: 47.0 dB by itself, 0.10 kB/frame saved",
-    ]
+    assert lines[0] == "6 groups: 5-10 Gaussians: 42.2 dB by itself, at worst, 0.10 kB/frame saved"
+    few = describe_left_out(replace(m, groups=in_groups([groups[0], *m.groups[1:]])))
+    assert few[0] == "1 groups: 5 Gaussians: 50.0 dB by itself, at worst, 0.10 kB/frame saved"

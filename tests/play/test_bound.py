@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests import faces
-from tests.faces import NONE, Horizon, Offers, SessionSettings, Slot, simulate, solve_horizon
+from tests.faces import NONE, Offers, SessionSettings, Slot, simulate, solve_horizon
 from tests.support.manifests import keeping, keyframes, link, play, tiny_manifest
 from tools.lab.numerics.outcome import BOUNDED, EXACT, UNFIT
 from tools.lab.numerics.plans import KINDS, judge_margin, offer, solved
@@ -32,7 +32,7 @@ def horizon(*capacities, released=None, decoded=NONE, starts=None, offers=OFFERS
         Slot(replace(offers.offer(position), starts_group=o), float(r), float(c))
         for position, r, c, o in zip(at, released, capacities, starts, strict=True)
     )
-    return Horizon(slots, decoded, idle)
+    return slots, decoded, idle
 
 
 @pytest.mark.parametrize(("programme", "quality", "first_bytes"), [
@@ -72,7 +72,7 @@ def horizon(*capacities, released=None, decoded=NONE, starts=None, offers=OFFERS
     (horizon(3100 + 600, offers=CORE), 34, 3700),
 ])  # fmt: skip
 def test_the_best_of_a_horizon(programme, quality, first_bytes):
-    best = solve_horizon(programme, integer=True)
+    best = solve_horizon(*programme, integer=True)
     assert best is not None and best.quality == pytest.approx(quality)
     assert first_bytes is None or best.first_bytes == pytest.approx(first_bytes)
 
@@ -91,11 +91,11 @@ def test_another_quality_than_the_bases_needs_the_base_in_that_quality():
 
 
 def test_what_has_no_schedule():
-    relaxed = solve_horizon(horizon(6300, 11500))  # shares of rungs, unless whole ones are asked for
+    relaxed = solve_horizon(*horizon(6300, 11500))  # shares of rungs, unless whole ones are asked for
     assert relaxed is not None and relaxed.rungs.max(axis=1).min() < 0.99
-    assert solve_horizon(horizon(2000)) is None
+    assert solve_horizon(*horizon(2000)) is None
     with pytest.raises(faces.ConfigError, match="at least one slot"):
-        solve_horizon(horizon())
+        solve_horizon(*horizon())
 
 
 @pytest.mark.parametrize("pipelined", [True, False])
@@ -135,7 +135,7 @@ def test_no_session_that_keeps_rows_beats_the_bound(rates, pictures):
 @settings(max_examples=60)
 @given(st.lists(st.integers(2300, 9000), min_size=1, max_size=5).map(np.cumsum))
 def test_the_relaxation_bounds_the_integers_which_equal_enumeration(capacities):
-    relaxed, exact = (solve_horizon(horizon(*capacities), integer=i) for i in (False, True))
+    relaxed, exact = (solve_horizon(*horizon(*capacities), integer=i) for i in (False, True))
     assert relaxed is not None and exact is not None
     assert relaxed.quality >= exact.quality - 1e-6
     every = np.indices((len(OFFERS.rungs),) * len(capacities)).reshape(len(capacities), -1)  # a rung of each slot
@@ -170,6 +170,6 @@ def test_links_too_slow_for_a_day_and_rates_beyond_what_sums_hold_are_refused():
             simulate(OFFERS, link([rate], duration=1000), "robust-mpc", SessionSettings(loops=1))
     fastest = link([1e19], duration=1000)
     assert fastest.trace.mean_bps == pytest.approx(1e19)
-    with pytest.raises(faces.TransportError, match="expected rates of at most"):
+    with pytest.raises(faces.TransportError, match="at most 1e"):
         link([2e19])
     check_bound(simulate(OFFERS, fastest, "oracle-lp", SessionSettings(loops=3)))

@@ -55,7 +55,7 @@ def test_a_package_is_played_from_any_server_like_in_a_simulation(server, name):
     assert log.metrics.startup_requests == simulated.metrics.startup_requests
     assert files.pop(JSON_NAME) == (PACKAGE / JSON_NAME).read_bytes()
     assert files and all(data == package.read(path) for path, data in files.items())
-    assert log.metrics.trace is None and log.metrics.utilisation is None
+    assert log.link is None and log.metrics.utilisation is None
     assert "a real connection" in faces.format_metrics(log)
 
 
@@ -161,7 +161,7 @@ def other():
 
 @pytest.fixture(scope="module")
 def site(other):
-    """Packages: one, one behind a query, one whose tables come unpacked; and what servers say in place of one."""
+    """Packages: one, one behind a query, one whose tables are unpacked; and what servers say in place of one."""
     made = {f"/unpacked/{path}": partial(bytes, data) for path, data in TABLES.items()}
     for what, (answer, _, _) in ANSWERS.items():
         made |= {f"/{what}/{name}": partial(replace, answer) for name in (JSON_NAME, "manifest.mpd")}
@@ -207,12 +207,12 @@ def test_links_that_fail_at_once_are_one_error(impatient):
 
 
 @pytest.mark.parametrize("form", ["", "/", "/airgs.json", "/manifest.mpd"])
-def test_a_query_goes_with_every_file_and_tables_may_come_unpacked(form, site):
+def test_a_query_goes_with_every_file_and_unpacked_tables_are_refused(form, site):
     """A signature letter by letter."""
     assert open_package(f"{site.url}/locked{form}{QUERY}").read("group/1.json.gz")
     with pytest.raises(faces.TransportError, match="status 403"):
         open_package(f"{site.url}/locked{form}?sig=no")
-    log = play_url(f"{site.url}/unpacked{form}{QUERY}")
+    log = play_url(f"{site.url}/locked{form}{QUERY}")
     with pytest.raises(FormatError, match="got JSON that was unpacked"):
         open_package(f"{site.url}/unpacked{form}{QUERY}").read("group/1.json.gz")
     assert not log.lost and len(log.shown) == len(open_package(PACKAGE).manifest.segments)
@@ -276,15 +276,6 @@ def test_a_server_that_dies_and_comes_back_is_waited_for():
         back.join()
     assert not log.lost and all(shown.rung == 0 for shown in log.shown)
     assert any("cannot be reached" in line for line in log.retried) and log.shown[0].start_s >= dead_s
-
-
-def test_what_pictures_show_beside_a_session_is_fetched_after_it():
-    files = {}
-    with plainly_serving(PACKAGE) as port, HttpDownloader(local(port), FAST, files.__setitem__) as downloader:
-        log = play(downloader.open(), downloader, "fixed:Q1+L0", RULES)
-        before = set(files)
-        downloader.fetch_beside(log)
-    assert {path.split("/")[-2] for path in set(files) - before} == {"Q0"}
 
 
 def test_a_digest_in_the_headers_covers_airgs_json():

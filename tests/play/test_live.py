@@ -15,8 +15,6 @@ from unittest.mock import patch
 import pytest
 
 from airgs_codec.play import player
-from airgs_codec.play.fetcher import Fetcher
-from airgs_codec.play.playout import Playout
 from tests import faces
 from tests.faces import JSON_NAME, FormatError, HttpSettings, RemoteTables, SessionSettings, group_path, open_package
 from tests.support.faulty import Weather, faultily_serving
@@ -88,7 +86,7 @@ def test_what_waits_is_shown_when_nothing_follows(tmp_path):
 
 @pytest.mark.parametrize("another", [False, True])
 def test_a_package_that_stops_growing_or_gives_way_to_another_ends_the_session(tmp_path, monkeypatch, another):
-    monkeypatch.setattr(player, "SILENCE_S", 0.1)
+    monkeypatch.setattr(player, "GONE_S", 0.1)
     growing = Growing(tmp_path / "p", 2)
     if another:
         growing.received = lambda path, data: shutil.copy(VALID / "live" / JSON_NAME, growing.folder / JSON_NAME)
@@ -213,7 +211,7 @@ class Live:
     def player(self):
         """A player of the best rung whose events are yet to be asked for."""
         offers, rules = self.tables.offers, SessionSettings(decode_frame_s=0.0)
-        return player.Player(Fetcher(offers, self, faces.make_policy("fixed:0", offers), rules), Playout(rules))
+        return player.Player(offers, self, faces.make_policy("fixed:0", offers), rules)
 
     def publish_until(self, at_s):
         m = self.package.manifest
@@ -238,12 +236,11 @@ class Live:
         return faces.Arrival(request, at_s, at_s, 1000, request.batch.files, {}, False)
 
 
-def remembered(package, fetcher, playout):
+def remembered(package, viewer):
     """How many of each thing publisher, tables and player know."""
-    tables = fetcher.tables
-    known = {"tables of the publisher": package.manifest.groups._kept, "names": tables._paths}
-    known |= {"segments": tables._complete, "keyframes": fetcher.decoded(0)}
-    known |= {"downloads": fetcher.downloads, "timeline": playout.timeline}
+    known = {"tables of the publisher": package.manifest.groups._kept, "names": viewer.tables._paths}
+    known |= {"keyframes": viewer.decoded(0)}
+    known |= {"downloads": viewer.downloads, "timeline": viewer.playout.timeline}
     return {name: len(things) for name, things in known.items()}
 
 
@@ -258,7 +255,7 @@ def test_hours_of_live_publishing_and_a_viewer_who_stays_end_flat():
             assert event.rung == 0
         asked += isinstance(event, faces.Arrived) and event.arrival.request.kind is faces.BatchKind.TABLES
         if shown and shown % 50 == 0:
-            seen.append(remembered(live.package, viewer.fetcher, viewer.playout))
+            seen.append(remembered(live.package, viewer))
     assert shown == 400 and not live.package.manifest.live
     assert asked <= 3 * shown  # airgs.json and what it leads to
     for name in seen[0]:

@@ -17,7 +17,7 @@ TINY = tiny_manifest()  # its rungs take 50.4 to 18.4 kbit/s
 UNMEASURED = tiny_manifest(psnr=None)
 LOST = missing(*(TINY.delta_files(1, level)[0] for level in range(3)))
 FAULTS, BELOW = "files had to be asked for again", "the link gave less than the lowest rung needs"
-OVER, ASKED = "less came than was expected", "the policy asked for more than the link gave"
+ASKED = "the policy asked for more than the link gave"
 SHORT = "too little was buffered for what came next"
 BOLA, WAITING = {"robust-mpc": 38.0, "bola": 40.0}, {"robust-mpc": 0.2, "fixed:1": 0.1}
 OUTAGE, THIN = (
@@ -31,7 +31,7 @@ DEFAULT = simulate(Offers(TINY), link([*[2e5] * 20, *[1e3] * 20]), settings=Sess
 @pytest.mark.parametrize(("log", "why", "change"), [
     (play(TINY, link([1.5e4]), "fixed:Q1+L2", loops=3), BELOW, "--levels"),
     (play(TINY, link([4e4]), loops=3), ASKED, "--policy robust-mpc"),
-    (play(TINY, link([8e4, 8e4, *[3e4] * 30]), "throughput", loops=4), OVER, "--policy robust-mpc"),
+    (play(TINY, link([8e4, 8e4, *[3e4] * 30]), "throughput", loops=4), ASKED, "--policy robust-mpc"),
     (play(TINY, link([5.1e4]), loops=8), SHORT, "--player.startup"),
     (play(TINY, link([4e4]), "robust-mpc", faults=LOST, loops=2), FAULTS, "validate"),
 ])  # fmt: skip
@@ -44,17 +44,17 @@ def test_every_wait_has_its_reason_and_its_advice(log, why, change):
 
 
 @pytest.mark.parametrize(("log", "part", "words", "absent"), [
-    (OUTAGE, "wrong", BELOW, OVER),
+    (OUTAGE, "wrong", BELOW, ASKED),
     (OUTAGE, "change", "--player.buffer", "validate"),  # where the link carries enough at times
-    (THIN, "wrong", BELOW, OVER),
+    (THIN, "wrong", BELOW, ASKED),
     (THIN, "change", "--levels", "--player.buffer"),
     (SMOOTH, "wrong", "Nothing: the viewer never waited", "lost"),
-    (SMOOTH, "good", "40.0 dB on average, 40.0 in its worst tenth", "not measured"),
+    (SMOOTH, "good", "40.0 dB on average, 40.0 dB as its 5th", "not measured"),
     (SMOOTH, "change", "", "validate"),
     (LOSSES, "wrong", "10 frames were lost", "waited"),
     (LOSSES, "change", "airgs-manifest validate", "--levels"),
     (play(TINY, link([8e4]), faults=LOST, loops=2), "wrong", "lost", "waited"),
-    (DARK, "good", "20.0 dB on average, 20.0 in its worst tenth", "40.0"),  # of the screen
+    (DARK, "good", "20.0 dB on average, 20.0 dB as its 5th", "40.0"),  # of the screen
     (play(UNMEASURED, link([8e6])), "good", "not measured", "dB"),
     (DEFAULT, "change", "--player.buffer 20", "--policy"),  # it is not recommended to itself
     (play(TINY, link([8e5]), loops=8), "change", "finer ones", "--compare"),  # the link carries more
@@ -67,11 +67,10 @@ def test_what_a_session_comes_to(log, part, words, absent):
     assert words in told and absent not in told
 
 
-def test_rungs_that_others_beat_are_named_and_what_only_takes_room():
+def test_rungs_that_others_beat_are_named():
     assert faces.on_ladder([(100, 40.0), (90, 30.0), (50, 35.0), (60, None)]) == [True, False, True, False]
     words = faces.beaten_words({"Q0+L0": True, "Q0+L1": False, "Q1+L0": True, "Q1+L1": False})
-    assert words.startswith("No player should fetch Q0+L1 and Q1+L1") and "L1 could be left out" in words
-    assert "parts of others" in faces.beaten_words({"Q0+L0": True, "Q0+L1": False, "Q1+L1": True})
+    assert words.startswith("No player should fetch Q0+L1 and Q1+L1")
     assert faces.beaten_words({"Q0+L0": True, "Q1+L1": True}) == ""
 
 
@@ -88,7 +87,7 @@ def test_a_report_is_written_where_it_can_be(tmp_path):
         faces.write_report(log, tmp_path / "file")
 
 
-def study(values, traces=8, feasible=True, rungs=("Q0+L0",), measured=True):
+def study(values, traces=8, feasible=True, measured=True):
     """A study in which every policy has a QoE that is a little better on later traces; the default is one of them.
 
     Where quality was not measured, the values are the shares of the time that policies wait.
@@ -99,8 +98,8 @@ def study(values, traces=8, feasible=True, rungs=("Q0+L0",), measured=True):
         row = {"qoe": value + 0.1 * t, "psnr_mean": 40.0, "stall_ratio": 0.0 if fits else 0.5, "regret": 1.0}
         if not measured:
             row = {"qoe": None, "psnr_mean": None, "stall_ratio": value, "regret": None}
-        rows.append(row | {"trace": f"t{t}", "policy": policy, "feasible": fits, "rungs": {"Q0+L0": 3}})
-    return Study(StudySettings(tuple(values), ("t",)), "p", tuple(rows), rungs)
+        rows.append(row | {"trace": f"t{t}", "policy": policy, "feasible": fits})
+    return Study(StudySettings(tuple(values), ("t",)), "p", tuple(rows))
 
 
 @pytest.mark.parametrize(("some", "expected", "absent"), [
@@ -116,9 +115,8 @@ def study(values, traces=8, feasible=True, rungs=("Q0+L0",), measured=True):
     (study(WAITING, 2, measured=False), ["may be chance", "10.0 % less than robust-mpc"], ["nan", "dB"]),
     (study({"fixed:1": 0.0}, measured=False), ["The smallest rungs play on all links."], ["nan"]),
     (study({"robust-mpc": 38.0, "oracle-lp": 50.0}), ["robust-mpc does best"], ["oracle"]),  # no player
-    (study({"robust-mpc": 38.0}, feasible=False), ["On 1 of 8 links no policy helps", "waits 50.0 %", "--levels"], []),
-    (study({"robust-mpc": 38.0}), [], ["--levels", "no policy helps", "No policy showed"]),
-    (study({"robust-mpc": 38.0}, rungs=("Q0+L0", "Q1+L1")), ["No policy showed Q1+L1"], []),
+    (study({"robust-mpc": 38.0}, feasible=False), ["On 1 of 8 links even", "waits 50.0 %", "--levels"], []),
+    (study({"robust-mpc": 38.0}), [], ["--levels"]),
 ])  # fmt: skip
 def test_what_a_study_recommends(some, expected, absent):
     told = " ".join(study_answer(some).values())
@@ -158,13 +156,10 @@ def test_a_study_compares_on_the_same_links_and_repeats_exactly(demo_package, ca
     printed = capsys.readouterr().out
     assert printed.strip() == to_json(faces.study_record(found))
     text, record = faces.format_study(found), json.loads(printed)
-    assert "2 traces, 2 offsets each (seed 1), unscaled" in text and "mean over display ticks" in text
+    assert "2 traces, 2 offsets each (seed 1), rates x1," in text and "mean over display ticks" in text
     assert "links whose smallest rungs" in text and "oracle-lp" in text and " does best on 4 links" in text
     assert [r["sessions"] for r in record["all"]] == [4] * len(policies)
     assert all(r["figures"]["regret"][0] >= -1e-6 for r in record["all"])
-    assert record["all"][0]["differences"]["psnr_mean"] == [0, 0, 0]
-    assert "mean over display ticks" in record["figures"]["psnr_mean"]
-    assert record["figures"].keys() == record["all"][0]["figures"].keys()
 
 
 @pytest.mark.parametrize(("options", "words"), [

@@ -21,7 +21,7 @@ from tests.support.browser import WEB, Answer, Made, build_pages, serve, visit
 from tests.support.digests import sloped_files
 from tests.support.paths import GOLDEN, VALID
 
-SHIPPED = pages.PAGE
+SHIPPED = pages.PAGE_FOLDER
 LEAST_DB = 55  # of pictures of 8 bits
 Folders = Mapping[str, Path]
 Answers = Mapping[str, Made]
@@ -48,7 +48,7 @@ def put_page(folder: Path, patch: pytest.MonkeyPatch) -> Path:
     folder.mkdir(exist_ok=True)
     for name, text in FILES.items():
         (folder / name).write_text(text)
-    patch.setattr(pages, "PAGE", folder)
+    patch.setattr(pages, "PAGE_FOLDER", folder)
     return folder
 
 

@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from tests.faces import Finding, Memory, validate, validate_files
+from tests.faces import FormatError, Memory, validate, validate_files
 from tests.support.mutations import Files, Link, read_files, write_files
 from tests.support.paths import INVALID, VALID
 
@@ -65,7 +65,7 @@ def cases() -> dict[str, Case]:
     return found
 
 
-def findings(files: Files) -> list[Finding]:
+def findings(files: Files) -> list[FormatError]:
     """What is wrong with a package; links are there on disk alone."""
     if any(isinstance(data, Link) for data in files.values()):
         with tempfile.TemporaryDirectory() as folder:

@@ -15,22 +15,22 @@ from urllib.request import Request, urlopen
 
 from starlette.types import ASGIApp
 
-from tests.faces import Packages, ServerSettings, bucket_at, listen, make_app, serve
+from tests.faces import Packages, bucket_at, listen, make_app, serve
 
 Around = Callable[[ASGIApp], ASGIApp]
 
 
 @contextmanager
 def serving(
-    *folders: Path, settings: ServerSettings | None = None, port: int = 0, around: Around = lambda app: app
+    *folders: Path, port: int = 0, around: Around = lambda app: app, patience_s: float = 20.0, **settings: Any
 ) -> Iterator[int]:
     """The project's server, its application in what stands around it; gives its port."""
-    app, settings = around(make_app(Packages(list(folders)))), settings or ServerSettings()
-    loop, stop, listening = asyncio.new_event_loop(), asyncio.Event(), listen("127.0.0.1", port, settings.patience_s)
+    app = around(make_app(Packages(list(folders))))
+    loop, stop, listening = asyncio.new_event_loop(), asyncio.Event(), listen("127.0.0.1", port, patience_s)
 
     def run() -> None:
         with asyncio.Runner(loop_factory=lambda: loop) as runner:
-            runner.run(serve(app, listening, settings, stop))
+            runner.run(serve(app, listening, stop, patience_s=patience_s, **settings))
 
     port = listening.getsockname()[1]
     thread = threading.Thread(target=run)

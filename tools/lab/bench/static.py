@@ -17,8 +17,8 @@ from airgs_codec import EncodeSettings
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import as_preview
 from airgs_codec.encoder.target import PSNR, Goal, OutOfReachError
-from airgs_codec.inspect.compare import Side, compare_two, open_side, region_views
-from airgs_codec.package.region import CHECKING
+from airgs_codec.inspect.compare import Side, compare_two, open_side
+from airgs_codec.package.region import CHECKING, draw_views
 from airgs_codec.package.tables import Region
 from airgs_codec.render import Camera
 from airgs_codec.scene.formats.table import choose_target, write_frames
@@ -72,7 +72,7 @@ def measure(path: Path, lab: Lab) -> Row:
     write_frames(choose_target(str(spz), None, 1), [(0, sequence.load([0]).frames[0])], Fraction(1))
     first, final = folder / "first.airgs", folder / "final.airgs"
     encode(sequence, first, as_preview(EncodeSettings()))
-    cameras = region_views(_region(first), DRAWS, CHECKING)
+    cameras = draw_views(_region(first), DRAWS, CHECKING)
     theirs = _look(original, open_side(str(spz)), cameras)
     try:
         encode(sequence, final, goal=Goal(PSNR, theirs.psnr + ABOVE), progress=lab.progress)

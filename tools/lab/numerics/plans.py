@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.package.package import open_package
 from airgs_codec.play import bound
-from airgs_codec.play.bound import Horizon, Slot, solve_horizon
+from airgs_codec.play.bound import Slot, solve_horizon
 from airgs_codec.play.offers import Offers, RungOffer, SegmentOffer
 from airgs_codec.play.playout import SessionSettings
 from airgs_codec.play.session import session_bound, simulate
@@ -36,9 +36,9 @@ class Offer:
     sizes: NDArray[np.float64]  # (K, L) bytes, descending
     quality: NDArray[np.float64]  # (K, L) dB
 
-    def horizon(self, capacities: NDArray[np.float64]) -> Horizon:
+    def horizon(self, capacities: NDArray[np.float64]) -> list[Slot]:
         """All slots, released at once, with (K,) bytes that the link has carried at their deadlines."""
-        return Horizon(tuple(Slot(self._segment(k), 0.0, float(c)) for k, c in enumerate(capacities)))
+        return [Slot(self._segment(k), 0.0, float(c)) for k, c in enumerate(capacities)]
 
     def _segment(self, k: int) -> SegmentOffer:
         rungs = tuple(
@@ -74,7 +74,7 @@ def solved(kind: str, rate_bps: float) -> Judged:
     """Return how the linear and the integer programme end: gap in dB."""
     what, capacities = offer(kind, rate_bps)
     horizon = what.horizon(capacities)
-    relaxed, whole = (solve_horizon(horizon, integer) for integer in (False, True))
+    relaxed, whole = (solve_horizon(horizon, integer=integer) for integer in (False, True))
     fits = bool((np.cumsum(what.sizes[:, -1]) <= capacities).all())
     if relaxed is None or whole is None:
         wrong = fits or (relaxed is None and whole is not None)

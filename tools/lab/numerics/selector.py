@@ -19,7 +19,7 @@ from airgs_codec.play import policies as known
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.playout import SessionSettings
-from airgs_codec.play.policies import DEFAULT_POLICY, NAMES, PlayerState, Policy, make_policy
+from airgs_codec.play.policies import DEFAULT_POLICY, POLICY_NAMES, PlayerState, Policy, make_policy
 from airgs_codec.play.session import simulate
 from airgs_codec.play.trace import Link, Trace, markov_trace
 from tools.lab import Took, seconds_of
@@ -52,7 +52,7 @@ class Links:
 
 
 def policies(bench: Bench) -> Iterator[Point]:
-    yield from _points(bench, "policies", [(name, partial(_named, name)) for name in NAMES])
+    yield from _points(bench, "policies", [(name, partial(_named, name)) for name in POLICY_NAMES])
 
 
 def horizons(bench: Bench) -> Iterator[Point]:

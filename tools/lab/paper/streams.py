@@ -98,7 +98,7 @@ def push_frames(frames: Sequence[Levels], fps: float, link: Link, choose: Choose
             pushed.append((SKIPPED, 0.0, 0.0, 0.0, 0.0, False))
             continue
         size, begin_s = levels[level].size_bytes, max(due_s, free_s)
-        free_s = link.passed_s(size, begin_s)
+        free_s = link.arrival_s(size, begin_s)
         paper_s = 8 * size / now if now > 0 else math.inf
         pushed.append((level, float(size), free_s - begin_s, begin_s - due_s, paper_s, fits))
     chosen, sizes, sent, waited, paper, fit = map(np.array, zip(*pushed, strict=True))
@@ -229,7 +229,7 @@ def stream(one: Stream, traces: Sequence[Trace], offsets: int, fps: float) -> di
     """
     frames = one.options
     frames *= max(1, round(SECONDS * fps / len(frames)))
-    links = [Link.over(trace.cut(at).ending("loop")) for trace in traces for at in offsets_of(trace, offsets, 1)]
+    links = [Link.over(trace.cut(at)) for trace in traces for at in offsets_of(trace, offsets, 1)]
     logs = [push_frames(frames, fps, link, CHOOSERS[one.chooser]) for link in links]
     runs: list[Mapping[str, float]] = [one.table(log) for log in logs]
     row = {key: _mean_of([run[key] for run in runs]) for key in runs[0]}

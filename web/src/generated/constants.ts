@@ -119,11 +119,9 @@ export const OVER_BUDGET = 1125899906842624;
 // airgs_codec.play.downloader
 export const CHECK_S = 0.5;
 
-// airgs_codec.play.fetcher
+// airgs_codec.play.player
 export const REMEMBERED = 24;
 export const SHORTEST_S = 1e-09;
-
-// airgs_codec.play.player
 export const LONGEST_POLL_S = 4.0;
 export const POLL_S = 1.0;
 export const SILENCE_S = 60.0;
