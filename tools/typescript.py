@@ -87,8 +87,8 @@ def constants() -> dict[ModuleType, dict[str, Any]]:
         | _same(mp4, "PACKET_TICKS", "SOUND_RATE", "WARM_UP"),
         h264: _same(h264, "DARKEST", "BRIGHTEST"),
         metrics: _same(metrics, "PSNR_CAP"),
-        cpu: _same(cpu, "FAR", "DILATION"),
-        cpu_kernels: _same(cpu_kernels, "MARGIN", "ALPHA_MAX", "SH_C1", "SH_C2", "SH_C3"),
+        cpu: {"FAR": cpu.FAR_PLANE} | _same(cpu, "DILATION"),
+        cpu_kernels: {"MARGIN": cpu_kernels.LINEAR_MARGIN} | _same(cpu_kernels, "ALPHA_MAX", "SH_C1", "SH_C2", "SH_C3"),
         **_of_players(),
     }
 
@@ -122,7 +122,7 @@ def _channels(kind: layout.Layout) -> dict[str, Any]:
     values = {
         "ATTRIBUTES": kind.attributes,
         "AT": {name: kind.slice(name).start for name in kind.attributes},
-        "CHANNELS": [run.attribute for run in kind.runs for _ in run.axes],
+        "CHANNELS": kind.names(0),
     }
     return {f"{kind.kind.upper()}_{name}": value for name, value in values.items()}
 

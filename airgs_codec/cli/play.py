@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from airgs_codec._report import listed
@@ -25,7 +25,7 @@ from airgs_codec.cli.options import (
 from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import Package, find_faults, open_package
-from airgs_codec.package.region import RegionSummary
+from airgs_codec.package.region import region_figures
 from airgs_codec.places.whole import to_json
 from airgs_codec.play.film import film
 from airgs_codec.play.http import HttpDownloader, HttpSettings
@@ -131,7 +131,7 @@ def _present(log: SessionLog, options: Play) -> None:
         "policy": log.policy,
         "lost": log.lost,
         "retried": log.retried,
-        "region": asdict(RegionSummary.of(log.offers.manifest.region)),
+        "region": region_figures(log.offers.manifest.region),
     }
     record = log.metrics.as_dict() | said
     if options.json:

@@ -6,15 +6,12 @@ Row i goes to the i-th cell of 16x16 blocks; cells of a block follow a Z-curve, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.escapes import UNIT, Bases
-from airgs_codec.coding.rangecoder import worth_compiling
 from airgs_codec.errors import SceneError
 from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, MIN_PICTURE_SIDE, Atlas
 
@@ -29,7 +26,7 @@ class UncodableError(SceneError):
 
 
 def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: float, first: int = 0) -> NDArray[np.int32]:
-    """(T, C, N) values, (C,) steps -> (T, C, N) codes; `from_codes` is at most step / (2 gain) off.
+    """Return the codes (T, C, N) of values (T, C, N) at steps (C,); `from_codes` is at most step / (2 gain) off.
 
     `first` is the number of the first channel, for errors. Raises UncodableError for a value 2^30 codes or more from 0,
     since nothing is clipped, SceneError for a step that is not within STEP_LIMITS.
@@ -63,7 +60,7 @@ def scale_codes(codes: NDArray[np.int32], units: NDArray[np.float32]) -> NDArray
 
 
 def choose_layout(rows: int, planes: int) -> tuple[int, int]:
-    """The plane width in samples and the columns of planes that make the atlas nearly square, if not too wide."""
+    """Return the plane width in samples and the columns of planes that make the atlas nearly square."""
     blocks = -(-rows // CELLS)
     widest = MAX_PICTURE_SIDE // BLOCK
     wide = min(widest, max(1, round(float(np.sqrt(blocks)))))
@@ -73,7 +70,7 @@ def choose_layout(rows: int, planes: int) -> tuple[int, int]:
 
 
 def picture_size(atlas: Atlas, macroblocks: int = MAX_MACROBLOCKS) -> tuple[int, int]:
-    """Width and height in samples of the smallest pictures that hold the atlas and that encoders and decoders take.
+    """Return width and height in samples of the smallest pictures for the atlas that encoders and decoders take.
 
     An atlas of more than `macroblocks`, or taller than a picture may be, takes several pages of that size.
     """
@@ -84,7 +81,7 @@ def picture_size(atlas: Atlas, macroblocks: int = MAX_MACROBLOCKS) -> tuple[int,
 
 
 def fit_atlas(codes: NDArray[np.int32], limit: float, omitted: NDArray[np.bool_] | None = None) -> Atlas:
-    """Centres, planes and layout of (T, channels, n) codes; a channel within `limit` of its centre has no plane.
+    """Return the atlas of codes (T, channels, n); a channel within `limit` of its centre has no plane.
 
     A channel of the mask `omitted` (channels,) has none either; its centre is its median.
     """
@@ -95,7 +92,7 @@ def fit_atlas(codes: NDArray[np.int32], limit: float, omitted: NDArray[np.bool_]
 
 
 def fit_centre(codes: NDArray[np.int32], limit: float) -> tuple[int, bool]:
-    """The centre of (T, n) codes of one channel, and whether some code is more than `limit` away from it.
+    """Return the centre of codes (T, n) of one channel, and whether some code is more than `limit` away from it.
 
     It is 0 where all are near that, else their median: what most rows have stays exact without a plane.
     """
@@ -110,13 +107,13 @@ def make_atlas(rows: int, centres: list[int], planes: list[int]) -> Atlas:
 
 
 def centre_codes(codes: NDArray[np.int32], atlas: Atlas) -> NDArray[np.int32]:
-    """(T, channels, n) codes -> (T, P, n) differences to the centres, of the channels that have a plane."""
+    """Return differences (T, P, n) of codes (T, channels, n) to the centres, of the channels that have a plane."""
     return (codes - np.array(atlas.centres, np.int32)[:, None])[:, atlas.planes]
 
 
 @lru_cache(maxsize=8)
 def row_places(rows: int, plane_width: int, stride: int) -> NDArray[np.intp]:
-    """(N,) place of each row's sample in a plane, counted line by line in a picture of `stride` samples a line."""
+    """Return (N,) the place of each row's sample in a plane, line by line in a picture with lines of `stride`."""
     i = np.arange(rows)
     block, cell = i // CELLS, i % CELLS
     x, y = np.zeros(rows, np.intp), np.zeros(rows, np.intp)
@@ -132,14 +129,14 @@ def row_places(rows: int, plane_width: int, stride: int) -> NDArray[np.intp]:
 
 
 def plane_starts(atlas: Atlas, stride: int) -> list[int]:
-    """(P,) place of the first sample of each plane in a picture of `stride` samples a line."""
+    """Return (P,) the place of the first sample of each plane in a picture with lines of `stride` samples."""
     height = atlas.plane_height
     down_across = (divmod(plane, atlas.columns) for plane in range(len(atlas.planes)))
     return [down * height * stride + across * atlas.plane_width for down, across in down_across]
 
 
 def assemble(samples: NDArray[np.uint8], atlas: Atlas, width: int, height: int) -> NDArray[np.uint8]:
-    """(T, P, N) samples -> (T, pages * height, width) pictures; cells that no sample has are 128."""
+    """Return pictures (T, pages * height, width) of samples (T, P, N); cells without a sample are 128."""
     places = row_places(atlas.rows, atlas.plane_width, width)
     lines = -(-atlas.size[1] // height) * height
     pictures = np.full((len(samples), lines * width), GREY, np.uint8)
@@ -150,105 +147,41 @@ def assemble(samples: NDArray[np.uint8], atlas: Atlas, width: int, height: int) 
 
 
 def extract(picture: NDArray[np.uint8], atlas: Atlas, rows: slice = slice(None)) -> NDArray[np.uint8]:
+    """Return the samples (P, n) of some rows in a picture. Raises ValueError for one that is smaller than the atlas."""
     start, stop, _ = rows.indices(atlas.rows)
     samples = np.empty((len(atlas.planes), stop - start), np.uint8)
-    for line, (plane, places) in zip(samples, _find_planes(picture, atlas, rows), strict=True):
-        line[:] = plane.take(places)
+    if not atlas.planes:
+        return samples
+    width, height = atlas.size
+    if picture.shape[0] < height or picture.shape[1] < width:
+        raise ValueError(f"expected a picture of at least {width}x{height}, got {picture.shape[1]}x{picture.shape[0]}")
+    if picture.strides[1] != 1 or picture.strides[0] < picture.shape[1]:
+        picture = np.ascontiguousarray(picture)
+    stride = picture.strides[0]  # decoders pad the lines of their pictures
+    flat = np.lib.stride_tricks.as_strided(picture, (stride * (len(picture) - 1) + picture.shape[1],), (1,))
+    places = row_places(atlas.rows, atlas.plane_width, stride)[rows]
+    for plane, first in zip(samples, plane_starts(atlas, stride), strict=True):
+        plane[:] = flat[first:].take(places)
     return samples
 
 
 def read_codes(
     picture: NDArray[np.uint8], atlas: Atlas, bases: Bases | NDArray[np.int32], rows: slice = slice(None)
 ) -> NDArray[np.int32]:
-    """A picture and the (P, N) bases in force -> (channels, n) codes of some rows.
+    """Return the codes (channels, n) of some rows from a picture and the bases (P, N) in force.
 
     A channel without a plane is its centre.
     """
     start, stop, _ = rows.indices(atlas.rows)
-    codes = np.empty((len(atlas.centres), stop - start), np.int32)
-    codes[:] = np.array(atlas.centres, np.int32)[:, None]
-    for plane, (samples, places) in enumerate(_find_planes(picture, atlas, rows)):
-        line = codes[atlas.planes[plane]]
-        line += samples.take(places)
-        line -= GREY
-        if (base := bases[plane]) is not None:
-            line += UNIT * base[rows]
+    codes = np.repeat(np.array(atlas.centres, np.int32)[:, None], stop - start, axis=1)
+    for channel, samples, base in zip(atlas.planes, extract(picture, atlas, rows), bases, strict=True):
+        codes[channel] += samples
+        codes[channel] -= GREY
+        if base is not None:
+            codes[channel] += UNIT * base[rows]
     return codes
 
 
-def read_values(
-    picture: NDArray[np.uint8],
-    atlas: Atlas,
-    bases: Bases | NDArray[np.int32],
-    rows: slice,
-    units: NDArray[np.float32],
-) -> NDArray[np.float32]:
-    """The same codes times the (channels,) value of a code of each channel, as (channels, n) values."""
-    loop = worth_compiling(_fill_line, 0)
-    if loop is None:
-        return scale_codes(read_codes(picture, atlas, bases, rows), units)
-    start, stop, _ = rows.indices(atlas.rows)
-    values = np.empty((len(atlas.centres), stop - start), np.float32)
-    for channel in set(range(len(values))).difference(atlas.planes):
-        values[channel] = np.float32(atlas.centres[channel]) * units[channel]
-    none = np.empty(0, np.int32)
-    for plane, (samples, places) in enumerate(_find_planes(picture, atlas, rows)):
-        channel = atlas.planes[plane]
-        base = bases[plane]
-        base = none if base is None else base[rows]
-        loop(samples, places, base, np.int32(atlas.centres[channel] - GREY), units[channel], values[channel])
-    return values
-
-
 def slope_times(frames: int) -> NDArray[np.float64]:
-    """(T,) what slopes count in each frame of a segment of T > 1: -1 in the first, 1 in the last."""
+    """Return (T,) the factor on slopes in each frame of a segment of T > 1: -1 in the first, 1 in the last."""
     return (2 * np.arange(frames) - (frames - 1)) / (frames - 1)
-
-
-def add_slopes(
-    values: NDArray[np.float32],
-    picture: NDArray[np.uint8],
-    atlas: Atlas,
-    bases: Bases | NDArray[np.int32],
-    rows: slice,
-    units: NDArray[np.float32],
-) -> None:
-    """Add to (channels, n) values of some rows what the picture of slopes says; `units` are times x (FORMAT.md §4)."""
-    slopes = read_values(picture, replace(atlas, centres=[0] * len(atlas.centres)), bases, rows, units)
-    for channel in atlas.planes:
-        values[channel] += slopes[channel]
-
-
-def _fill_line(
-    samples: NDArray[np.uint8],
-    places: NDArray[np.intp],
-    bases: NDArray[np.int32],
-    centre: np.int32,
-    unit: np.float32,
-    values: NDArray[np.float32],
-) -> None:
-    """Fill (n,) `values` from samples at (n,) places, with (n,) bases or none at all."""
-    if len(bases):
-        for i in range(len(values)):
-            values[i] = np.float32(np.int32(samples[np.uintp(places[i])]) + centre + np.int32(UNIT) * bases[i]) * unit
-    else:
-        for i in range(len(values)):
-            values[i] = np.float32(np.int32(samples[np.uintp(places[i])]) + centre) * unit
-
-
-def _find_planes(
-    picture: NDArray[np.uint8], atlas: Atlas, rows: slice
-) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.intp]]]:
-    """The samples from the first one of each plane on, and the (n,) places of some rows among them."""
-    if not atlas.planes:
-        return
-    width, lines = atlas.size
-    if picture.shape[0] < lines or picture.shape[1] < width:
-        raise ValueError(f"expected a picture of at least {width}x{lines}, got {picture.shape[1]}x{picture.shape[0]}")
-    if picture.strides[1] != 1 or picture.strides[0] < picture.shape[1]:
-        picture = np.ascontiguousarray(picture)
-    stride = picture.strides[0]  # decoders pad their lines
-    flat = np.lib.stride_tricks.as_strided(picture, (stride * (len(picture) - 1) + picture.shape[1],), (1,))
-    places = row_places(atlas.rows, atlas.plane_width, stride)[rows]
-    for start in plane_starts(atlas, stride):
-        yield flat[start:], places

@@ -13,7 +13,7 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +24,10 @@ from airgs_codec.coding.sidecar import KeyframeSidecar, grid_means
 from airgs_codec.errors import FormatError
 from airgs_codec.package.layout import COLOUR, DELTA, KEYFRAME, Layout
 from airgs_codec.package.tables import TRANSFORM_UNITS, DeltaSteps, Grid, KeyframeSteps
+from airgs_codec.scene.columns import SHARED, Columns
 from airgs_codec.scene.gaussians import Gaussians, conjugate, multiply, sigmoid, to_rotation_vector
 
-_MEANS, _SCALES, _ROTATION = (DELTA.slice(name) for name in ("means", "log_scales", "quaternions"))
-_OPACITY, _COLOUR = DELTA.slice("opacity"), DELTA.slice(COLOUR)
+_MEANS, _SCALES, _OPACITY = (DELTA.slice(name) for name in ("means", "log_scales", "opacity"))
 FURTHEST = float(1 << 26)  # steps that a row moves from its canonical mean, so that codes stay below 2^30
 OUTLYING = 10.0
 WIDTH = 64  # numbers that a row of a decoded frame takes while it is worked out
@@ -38,7 +38,7 @@ Channels = NDArray[np.float32] | Callable[[slice], NDArray[np.float32]]  # (c, N
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Canonical:
+class Canonical(Columns):
     """The canonical space of a group as decoded from its keyframe tiers; rows in file order."""
 
     means: NDArray[np.float64]  # (N, 3) world units, in the middle of cells
@@ -48,13 +48,10 @@ class Canonical:
     opacity: NDArray[np.float32]  # (N,) alpha; may leave [0, 1] by coding error
     colour: NDArray[np.float32]  # (N, C)
     depths: NDArray[np.uint8]  # (N,) deepest level that carries the row; STATIC: none
-    transform: NDArray[np.float64]  # (C, C) KLT, as stored
-
-    def part(self, rows: slice | NDArray[np.intp]) -> Canonical:
-        return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name != "transform"})
+    transform: NDArray[np.float64] = field(metadata=SHARED)  # (C, C) KLT, as stored
 
     def to_gaussians(self) -> Gaussians:
-        """The canonical space as a frame: what is shown where no delta says otherwise."""
+        """Return the canonical space as a frame: what is shown where no delta says otherwise."""
         dc, rest = split_colours(self.colour)
         logits, dc = from_opacity(self.opacity), np.ascontiguousarray(dc)
         return Gaussians(self.means.astype(np.float32), self.quaternions, self.log_scales, logits, dc, rest)
@@ -91,7 +88,7 @@ ATTRIBUTES: dict[str, tuple[Make, Put]] = {
 def blank_space(
     means: NDArray[np.float64], units: NDArray[np.float32], log_scale: float, transform: NDArray[np.float64]
 ) -> Canonical:
-    """Return rows at `means` (N, 3) of one size, without rotation, opacity or colour: the base of keyframe channels."""
+    """Return the base of keyframe channels: rows at `means` (N, 3) of one size, without rotation or colour."""
     row = [np.array([1, 0, 0, 0]), np.full(3, log_scale), np.zeros(()), np.zeros(len(transform))]
     quaternions, sizes, opacity, colour = (
         np.broadcast_to(value.astype(np.float32), (len(means), *value.shape)) for value in row
@@ -101,15 +98,15 @@ def blank_space(
 
 
 def join_canonical(parts: Sequence[Canonical], transform: NDArray[np.float64]) -> Canonical:
-    parts = parts or [blank_space(np.empty((0, 3)), np.empty(0, np.float32), 0.0, transform)]
-    names = [f.name for f in fields(Canonical) if f.name != "transform"]
-    return Canonical(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in names}, transform=transform)
+    if not parts:
+        return blank_space(np.empty((0, 3)), np.empty(0, np.float32), 0.0, transform)
+    return Canonical.join(parts)
 
 
 def keyframe_channels(
     g: Gaussians, transform: NDArray[np.float64], steps: KeyframeSteps, unit: float
 ) -> NDArray[np.float64]:
-    """(7 + C, N) channels of the canonical frame; `transform` is the (C, C) KLT as stored, `unit` that of the grid."""
+    """Return (7 + C, N) channels of the canonical frame; `transform` is the (C, C) KLT as stored."""
     base = blank_space(g.means.astype(np.float64), np.ones(len(g), np.float32), 0.0, transform)
     return _make(KEYFRAME, replace(g, log_scales=g.log_scales - math.log(unit)), base, steps)
 
@@ -118,8 +115,7 @@ def _make(kind: Layout, g: Gaussians, base: Canonical, steps: KeyframeSteps | De
     width = len(base.transform)
     scale, out = colour_steps(steps, width), np.empty((kind.width(width), len(base.means)))
     for name in kind.attributes:
-        make, _ = ATTRIBUTES[name]
-        out[kind.slice(name)] = make(g, base, scale).T
+        out[kind.slice(name)] = ATTRIBUTES[name][0](g, base, scale).T
     return out
 
 
@@ -132,7 +128,7 @@ def dequantise_keyframe(
     coarser: int = 0,
     base: Canonical | None = None,
 ) -> Canonical:
-    """Decoded keyframe channels and the sidecar of their rows -> the canonical space of the group, on several threads.
+    """Return the canonical space of a group from decoded keyframe channels and the sidecar of their rows, on threads.
 
     Of (7 + C, N) channels; or of (10 + C, N), which are differences to `base`, the canonical space of another group.
     `coarser` is that of the keyframe quality; the codes of the sidecar may be those of finer cells.
@@ -146,17 +142,16 @@ def dequantise_keyframe(
     out = {name: np.empty(column.shape, column.dtype) for name, column in columns.items()}
 
     def fill(rows: slice) -> None:
-        some, part = _some(channels, rows), before.part(rows)
+        some, part = _some(channels, rows), before.take(rows)
         for name, column in out.items():
-            _, put = ATTRIBUTES[name]
-            column[rows] = put(some[kind.slice(name)], part, scale)
+            column[rows] = ATTRIBUTES[name][1](some[kind.slice(name)], part, scale)
 
     kernels.for_chunks(fill, len(sidecar.depths), WIDTH)
     return replace(base, depths=sidecar.depths, **out)
 
 
 def delta_channels(frames: Sequence[Gaussians], base: Canonical, steps: DeltaSteps) -> NDArray[np.float64]:
-    """(T, 10 + C, N) channels of frames with the rows of `base`.
+    """Return (T, 10 + C, N) channels of frames with the rows of `base`.
 
     While a Gaussian has alpha < 1/255 it is not drawn, so its channels but opacity hold the value they had when it was
     last drawn: changes that nobody sees cost nothing. Before it is first drawn they hold that first value, and 0 if it
@@ -172,9 +167,9 @@ def delta_channels(frames: Sequence[Gaussians], base: Canonical, steps: DeltaSte
 
 
 def frame_channels(g: Gaussians, base: Canonical, steps: DeltaSteps) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """(10 + C, N) channels of one frame as it is, and (N,) whether a row is drawn.
+    """Return (10 + C, N) channels of one frame as it is, and (N,) whether a row is drawn.
 
-    A row that moves further than codes reach is nearer, on the same line, and as much smaller: it looks alike.
+    A row that moves further than codes reach is brought nearer and made as much smaller: it looks the same.
     """
     out = _make(DELTA, g, base, steps)
     nearer = np.maximum(np.abs(out[_MEANS]).max(axis=0) / (FURTHEST * steps.means), 1)
@@ -203,58 +198,42 @@ class DeltaApplier:
     rows: NDArray[np.intp]  # (n,) the level's rows among the N, ascending
     colour_steps: NDArray[np.float32]  # (C,)
     constant: Sequence[str]  # of quaternions and colour: what no frame changes
-    memory: kernels.FrameMemory = field(default_factory=kernels.FrameMemory)
 
     @staticmethod
     def of(base: Canonical, rows: NDArray[np.intp], steps: DeltaSteps, constant: Sequence[str] = ()) -> DeltaApplier:
-        """An applier for these rows (n,); all channels of quaternions or colour that are `constant` are 0."""
+        """Return an applier for these rows (n,); all channels of quaternions or colour that are `constant` are 0."""
         scale = colour_steps(steps, len(base.transform)).astype(np.float32)
         return DeltaApplier(base, base.to_gaussians(), rows, scale, constant)
 
     def apply(self, channels: Channels) -> Gaussians:
-        """The frame that decoded delta channels of the n rows make of the canonical space: all N rows.
+        """Return the frame that decoded delta channels of the n rows make of the canonical space: all N rows.
 
-        What gives (10 + C, m) channels of some of them is called on several threads.
+        Where `channels` is a function from rows to their (10 + C, m) channels, several threads call it.
         """
         shown, base = self.shown, self.base
         before = {"means": shown.means, "log_scales": base.log_scales, "opacity": shown.opacity_logits}
         before |= {name: getattr(base, name) for name in ("quaternions", COLOUR) if name not in self.constant}
-        out = {name: self.memory.empty(column.shape) for name, column in before.items()}
+        out = {name: np.empty_like(column) for name, column in before.items()}
 
         def fill(rows: slice) -> None:
             start, stop = np.searchsorted(self.rows, (rows.start, rows.stop)).tolist()
             if stop - start < rows.stop - rows.start:
                 for name, column in out.items():
                     column[rows] = before[name][rows]
-            if start < stop:
-                self._add(out, self.rows[start:stop], _some(channels, slice(start, stop)))
+            if start == stop:
+                return
+            changed, some = kernels.consecutive(self.rows[start:stop]), _some(channels, slice(start, stop))
+            part = base.take(changed)
+            for name, column in out.items():
+                values = ATTRIBUTES[name][1](some[DELTA.slice(name)], part, self.colour_steps)
+                column[changed] = from_opacity(values) if name == "opacity" else values
 
         kernels.for_chunks(fill, len(shown), WIDTH)
         dc, rest = shown.sh_dc, shown.sh_rest
         if COLOUR in out:
-            found, rest = split_colours(out[COLOUR])
-            dc = self.memory.empty(found.shape)
-            dc[:] = found
-        return Gaussians(
-            out["means"], out.get("quaternions", base.quaternions), out["log_scales"], out["opacity"], dc, rest
-        )
-
-    def _add(self, out: dict[str, NDArray[np.float32]], rows: NDArray[np.intp], x: NDArray[np.float32]) -> None:
-        base, some = self.base, kernels.consecutive(rows)
-        if not kernels.is_compiled():
-            part = base.part(some)
-            for name, column in out.items():
-                _, put = ATTRIBUTES[name]
-                column[some] = put(x[DELTA.slice(name)], part, self.colour_steps)
-            out["opacity"][some] = from_opacity(out["opacity"][some])
-            return
-        out["opacity"][some] = from_opacity(base.opacity[some] + x[_OPACITY][0])
-        transform, dyes = base.transform.astype(np.float32), x[_COLOUR] if COLOUR in out else x[:0]
-        changes = x[_MEANS] * base.motion_units[some], x[_SCALES], x[_ROTATION] if "quaternions" in out else x[:0]
-        columns = {name: getattr(base, name) for name in ("means", "log_scales", "quaternions", COLOUR)}
-        written = (out.get(name, column) for name, column in columns.items())
-        dyes = kernels.klt_colours(dyes, transform, self.colour_steps) if len(dyes) else dyes
-        kernels.add_deltas((*changes, dyes), tuple(columns.values()), rows, tuple(written))
+            dc, rest = split_colours(out[COLOUR])
+        quaternions = out.get("quaternions", base.quaternions)
+        return Gaussians(out["means"], quaternions, out["log_scales"], out["opacity"], np.ascontiguousarray(dc), rest)
 
 
 def _some(channels: Channels, rows: slice) -> NDArray[np.float32]:
@@ -262,34 +241,34 @@ def _some(channels: Channels, rows: slice) -> NDArray[np.float32]:
 
 
 def from_opacity(opacity: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Decoded alpha -> finite logits; alpha that coding error carried out of [0, 1] is limited first (FORMAT.md §5)."""
+    """Return finite logits of decoded alpha, which coding error may have carried out of [0, 1] (FORMAT.md §5)."""
     a = np.clip(opacity, OPACITY_MARGIN, 1 - OPACITY_MARGIN)
     return np.log(a / (1 - a))
 
 
 def colours(sh_dc: NDArray[np.floating], sh_rest: NDArray[np.floating]) -> NDArray[np.floating]:
-    """(..., N, 3) and (..., N, K, 3) -> (..., N, C): DC r g b, then each SH rest coefficient r g b."""
+    """Join (..., N, 3) and (..., N, K, 3) to (..., N, C): DC r g b, then each SH rest coefficient r g b."""
     return np.concatenate([sh_dc, sh_rest.reshape(*sh_rest.shape[:-2], -1)], axis=-1)
 
 
 def split_colours(channels: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Inverse of `colours`: (..., N, C) -> (..., N, 3) and (..., N, K, 3)."""
+    """Split (..., N, C) into (..., N, 3) and (..., N, K, 3): the inverse of `colours`."""
     rest = channels[..., 3:]
     return channels[..., :3], rest.reshape(*rest.shape[:-1], rest.shape[-1] // 3, 3)
 
 
 def colour_steps(steps: KeyframeSteps | DeltaSteps, channels: int) -> NDArray[np.float64]:
-    """(C,) step of each colour channel before the KLT; after it every step is 1."""
+    """Return (C,) the step of each colour channel before the KLT; after it every step is 1."""
     return np.where(np.arange(channels) < 3, steps.sh_dc, steps.sh_rest)
 
 
 def fit_colour_transform(scaled: NDArray[np.float64], weights: Sequence[float] = ()) -> NDArray[np.float64]:
-    """The KLT (C, C) of (N, C) colours in units of their steps: row k is what the k-th strongest direction adds.
+    """Return the KLT (C, C) of colours (N, C) in units of their steps: row k is what the k-th strongest direction adds.
 
     It is orthonormal, and the entry of a row that is largest by size positive, so that equal scenes give equal
     packages. Colours that are further from the median than OUTLYING times the others count as that far. `weights`
-    (3, 3), symmetric, row by row: it is that of r, g, b times them, in which errors of equal length matter alike, with
-    what undoes them after it.
+    (3, 3), symmetric, row by row: it is that of r, g, b times them, in which errors of equal length matter equally,
+    with their inverse after it.
     """
     away = scaled - np.median(scaled, axis=0)
     sizes = np.linalg.norm(away, axis=1, keepdims=True)
@@ -305,7 +284,7 @@ def fit_colour_transform(scaled: NDArray[np.float64], weights: Sequence[float] =
 
 
 def to_klt(scaled: NDArray[np.float64], transform: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(..., C) colours in units of their steps -> KLT channels, whose product with the transform they are.
+    """Return the KLT channels whose product with the transform is colours (..., C) in units of their steps.
 
     The stored transform is rounded, so it is inverted, not transposed.
     """
@@ -313,19 +292,19 @@ def to_klt(scaled: NDArray[np.float64], transform: NDArray[np.float64]) -> NDArr
 
 
 def colour_transform(keyframe: Gaussians, steps: KeyframeSteps, weights: Sequence[float] = ()) -> NDArray[np.float64]:
-    """The (C, C) KLT of the colours of a canonical frame, rounded as the table of a group stores it."""
+    """Return the (C, C) KLT of the colours of a canonical frame, rounded as the table of a group stores it."""
     colour = colours(keyframe.sh_dc, keyframe.sh_rest).astype(np.float64)
     fitted = fit_colour_transform(colour / colour_steps(steps, colour.shape[1]), weights)
     return unpack_matrix(pack_matrix(fitted), len(fitted))
 
 
 def pack_matrix(matrix: NDArray[np.float64]) -> str:
-    """Entries in -1..1 as base64 of little-endian int16 in 1 / TRANSFORM_UNITS, row by row."""
+    """Return entries in -1..1 as base64 of little-endian int16 in 1 / TRANSFORM_UNITS, row by row."""
     return base64.b64encode(np.rint(matrix * TRANSFORM_UNITS).astype("<i2").tobytes()).decode("ascii")
 
 
 def unpack_matrix(text: str, side: int) -> NDArray[np.float64]:
-    """Inverse of `pack_matrix`: (side, side). Raises FormatError(bad_value)."""
+    """Read what `pack_matrix` writes: (side, side). Raises FormatError(bad_value)."""
     try:
         raw = base64.b64decode(text, validate=True)
         return np.frombuffer(raw, "<i2").reshape(side, side) / TRANSFORM_UNITS

@@ -23,11 +23,11 @@ LIMIT = 96
 
 
 def split(codes: NDArray[np.int32]) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
-    """(T, P, N) codes less their centres -> luma samples around 128 and bases, both (T, P, N). Nothing is clipped.
+    """Return luma samples around 128 and bases, both (T, P, N), of (T, P, N) codes less their centres.
 
     A base stays as long as some value serves all frames since its last jump, so that no choice needs fewer jumps.
     """
-    low, high = -((LIMIT - codes) // UNIT), (codes + LIMIT) // UNIT  # bases that serve a frame alone
+    low, high = -((LIMIT - codes) // UNIT), (codes + LIMIT) // UNIT  # bases that serve one frame
     first = np.zeros(codes.shape, np.bool_)  # does a new base start here
     least, most = np.zeros(codes.shape[1:], np.int32), np.zeros(codes.shape[1:], np.int32)
     for t in range(len(codes)):
@@ -35,9 +35,8 @@ def split(codes: NDArray[np.int32]) -> tuple[NDArray[np.uint8], NDArray[np.int32
         first[t] = least > most
         least, most = np.where(first[t], low[t], least), np.where(first[t], high[t], most)
         low[t], high[t] = least, most
-    for t in range(len(codes) - 2, -1, -1):  # the last frame of a run knows what serves all of it
-        low[t] = np.where(first[t + 1], low[t], low[t + 1])
-        high[t] = np.where(first[t + 1], high[t], high[t + 1])
+    for t in range(len(codes) - 2, -1, -1):  # the last frame of a run has the bases that serve all of it
+        low[t], high[t] = np.where(first[t + 1], (low[t], high[t]), (low[t + 1], high[t + 1]))
     bases = np.empty_like(codes)
     base = np.zeros(codes.shape[1:], np.int32)
     for t in range(len(codes)):
@@ -63,7 +62,7 @@ class Escapes:
 
     @staticmethod
     def join(planes: Sequence[Escapes]) -> Escapes:
-        """The jumps of several planes, each of which has the same T and N; at least one."""
+        """Return the jumps of several planes, at least one, each of which has the same T and N."""
         frames, _, rows = planes[0].shape
         area = rows * len(planes)
         index = np.concatenate([e.index // rows * area + p * rows + e.index % rows for p, e in enumerate(planes)])
@@ -72,21 +71,20 @@ class Escapes:
         return Escapes((frames, len(planes), rows), index[order], jumps[order])
 
     def columns(self) -> list[Column]:
-        """The columns of a file: how many jumps, gaps of flat indices, sizes in zigzag coding."""
+        """Return the columns of a file: how many jumps, gaps of flat indices, sizes in zigzag coding."""
         values = self.jumps.astype(np.int64)
         zigzag = (values << 1) ^ (values >> 63)
         return [(np.array([len(self.index)]), 0), (np.diff(self.index, prepend=0), 0), (zigzag, 1)]
 
     def bases(self, frame: int) -> NDArray[np.int32]:
-        """(P, N) bases in force at a frame, counted from the start of the segment."""
-        area = self.shape[1] * self.shape[2]
-        upto = np.searchsorted(self.index, (frame + 1) * area)
-        bases = np.zeros(area, np.int32)
-        np.add.at(bases, self.index[:upto] % area, self.jumps[:upto])
-        return bases.reshape(self.shape[1:])
+        """Return the bases (P, N) in force at a frame, counted from the start of the segment."""
+        bases = np.zeros(self.shape[1:], np.int32)
+        upto = np.searchsorted(self.index, (frame + 1) * bases.size)
+        np.add.at(bases.reshape(-1), self.index[:upto] % max(1, bases.size), self.jumps[:upto])
+        return bases
 
     def running(self) -> Iterator[Bases]:
-        """The bases of one frame after the other, the same arrays every time."""
+        """Yield the bases of one frame after the other, the same arrays every time."""
         frames, planes, rows = self.shape
         starts = np.arange(frames * planes + 1) * rows
         spans = itertools.pairwise(np.searchsorted(self.index, starts).tolist())
@@ -101,7 +99,7 @@ class Escapes:
 
 
 def read_columns(reader: ColumnReader, shape: tuple[int, int, int]) -> Escapes:
-    """Inverse of `Escapes.columns` for bases of `shape` (T, P, N).
+    """Read what `Escapes.columns` writes of bases of `shape` (T, P, N).
 
     Raises FormatError(bad_sidecar) when there are more jumps than samples, an index leaves the shape or a jump 31 bits.
     """
@@ -126,7 +124,7 @@ def pack(*found: Escapes) -> bytes:
 def unpack_segment(
     data: bytes | None, shape: tuple[int, int, int], sloped: bool, where: str
 ) -> tuple[Escapes | None, Escapes]:
-    """The escapes of a segment of `shape` (T, P, N), behind those of its slopes where it is `sloped`; see `unpack`."""
+    """Read the escapes of a segment of `shape` (T, P, N), behind those of its slopes where it is `sloped`."""
     reader = ColumnReader(data, where)
     slopes = read_columns(reader, (1, *shape[1:])) if sloped else None
     frames = read_columns(reader, shape)

@@ -2,7 +2,7 @@
 
 The displacement of a row is sent the finer, the more pictures depend on it: a row of class c has the motion unit 2^c
 world units, times the scale of the scene, which steps of lengths contain. Rows that move together have one class:
-neighbours then have alike samples, which video codecs code well.
+neighbours then have similar samples, which video codecs code well.
 N rows, T frames, C colour channels.
 """
 
@@ -37,22 +37,22 @@ class StepSettings:
     keyframe: KeyframeSteps = _KEYFRAME
     delta: DeltaSteps = _DELTA
     grid: float = 0.0007  # side of the cells of canonical means, in motion units
-    colours: tuple[float, ...] = ()  # (3, 3), row by row, of `fit_colour_transform`; empty: r, g, b matter alike
+    colours: tuple[float, ...] = ()  # (3, 3), row by row, of `fit_colour_transform`; empty: r, g, b matter equally
     rows: float = 0.0027  # error of pictures (RMS, of [0, 1]) that leaving out Gaussians may make
 
     def at_scale(self, scale: float) -> StepSettings:
-        """These steps, which are those of a scene of scale 1, for one of another scale."""
+        """Return these steps of a scene of scale 1 for one of another scale."""
         return replace(self, delta=replace(self.delta, means=self.delta.means * scale), grid=self.grid * scale)
 
     def scaled(self, quality: float) -> StepSettings:
-        """These steps times a quality factor; `rows`, an error of pictures, stays."""
+        """Return these steps times a quality factor; `rows`, an error of pictures, stays."""
         keyframe = KeyframeSteps(*(step * quality for step in astuple(self.keyframe)))
         delta = DeltaSteps(*(step * quality for step in astuple(self.delta)))
         return replace(self, keyframe=keyframe, delta=delta, grid=self.grid * quality)
 
 
 def get_step(steps: StepSettings, name: str) -> float:
-    """A step by its name: such as delta.means, grid or rows."""
+    """Return a step by its name: such as delta.means, grid or rows."""
     side, _, attribute = name.partition(".")
     return float(getattr(getattr(steps, side), attribute) if attribute else getattr(steps, side))
 
@@ -64,7 +64,7 @@ def with_step(steps: StepSettings, name: str, value: float) -> StepSettings:
 
 
 def scale_steps(steps: StepSettings, factors: Mapping[str, float]) -> StepSettings:
-    """These steps times a factor on each of some, to a power of 2^(1/8): what is measured is no better.
+    """Return these steps times factors on some, rounded to powers of 2^(1/8): what is measured is no better.
 
     So scenes that differ by little, or by their unit, mostly have equal steps.
     """
@@ -75,7 +75,7 @@ def scale_steps(steps: StepSettings, factors: Mapping[str, float]) -> StepSettin
 
 
 def motion_classes(sensitivity: NDArray[np.float64], floor: float, scale: float = 1.0) -> NDArray[np.int16]:
-    """(N,) mean squared derivatives of pictures by the rows' means, in 1 / world unit^2 -> (N,) motion classes.
+    """Return (N,) motion classes of (N,) mean squared derivatives of pictures by the rows' means, 1 / world unit^2.
 
     The motion unit is the power of two nearest to the fourth root of 1 / `sensitivity`, with lengths in units of
     `scale`. `floor` (> 0) is the least sensitivity that counts: of a row that no picture shows the logarithm is
@@ -90,9 +90,9 @@ def motion_units(classes: NDArray[np.int16]) -> NDArray[np.float32]:
 
 
 def classify_motion(sensitivity: NDArray[np.float64], g: Gaussians, scale: float) -> NDArray[np.int16]:
-    """(N,) motion classes by (N,) `sensitivity`, as in `motion_classes`; where no row is seen, by the median size."""
+    """Return (N,) motion classes by (N,) `sensitivity`, or by the median size where no row is seen."""
     seen = sensitivity[sensitivity > 0]
-    if not len(seen):  # nothing is visible: every row counts alike
+    if not len(seen):  # nothing is visible: all rows count the same
         size = float(np.exp(np.clip(np.median(g.log_scales.astype(np.float64)), -30, 30)))
         return np.full(len(g), round(math.log2(size / scale)), np.int16)
     return motion_classes(sensitivity, FLOOR * float(np.median(seen)), scale)
@@ -104,23 +104,23 @@ def share_class(
     displacements: Iterable[NDArray[np.floating]],
     step: float,
 ) -> NDArray[np.int16]:
-    """(N,) motion classes, or one for all rows where their displacements take fewer bits with it.
+    """Return (N,) motion classes, or one for all rows where their displacements take fewer bits with it.
 
     `classes` and `sensitivity` (N,) are those of rows in file order, `displacements` (3, N) of some frames, in world
     units, `step` that of means. With one class equal steps err about as much in pictures. Rows that move further than
-    LEAVES steps tell nothing of others.
+    LEAVES steps are left out.
     """
     total = float(sensitivity.sum())
     if total == 0:
         return classes
     units = motion_units(classes).astype(np.float64)
     shared = math.sqrt(float(sensitivity @ np.square(units)) / total)
-    apart, together = 0.0, 0.0
+    separate, together = 0.0, 0.0
     for moved in displacements:
         moved = np.where(np.abs(moved).max(axis=0) > LEAVES * step * shared, 0, moved)
-        apart += _transform_bits(moved / (step * units))
+        separate += _transform_bits(moved / (step * units))
         together += _transform_bits(moved / (step * shared))
-    return np.full_like(classes, round(math.log2(shared))) if together < apart else classes
+    return np.full_like(classes, round(math.log2(shared))) if together < separate else classes
 
 
 def _transform_bits(samples: NDArray[np.floating]) -> float:
@@ -145,7 +145,7 @@ def _hadamard(order: int) -> NDArray[np.float64]:
 def channel_weights(
     classes: NDArray[np.int16], sensitivity: NDArray[np.float64], steps: DeltaSteps, transform: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(10 + C, N) what an error of one step in a delta channel adds to the mean squared error of pictures.
+    """Return (10 + C, N) what an error of one step in a delta channel adds to the mean squared error of pictures.
 
     `sensitivity` (6, N): mean squared derivatives of pictures by each of DELTA_ATTRIBUTES, summed over its channels.
     Derivatives by the channels of one attribute are taken to be equal, and errors of different channels independent.
@@ -156,8 +156,8 @@ def channel_weights(
     by = dict(zip(DELTA_ATTRIBUTES, sensitivity, strict=True))
     units = asdict(steps) | {"means": motion_units(classes).astype(np.float64) * steps.means}
     weights = np.empty((DELTA.width(colours), len(classes)))
-    for run in DELTA.runs:
-        weights[DELTA.slice(run.attribute)] = by[run.attribute] * units[run.attribute] ** 2 / len(run.axes)
+    for name, channels in DELTA.runs:
+        weights[DELTA.slice(name)] = by[name] * units[name] ** 2 / channels
     weights[DELTA.slice(COLOUR)] = np.outer(dc, by["sh_dc"] * steps.sh_dc**2 / 3)
     if colours > 3:
         weights[DELTA.slice(COLOUR)] += np.outer(rest, by["sh_rest"] * steps.sh_rest**2 / (colours - 3))
@@ -165,5 +165,5 @@ def channel_weights(
 
 
 def withheld_error(changes: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N,) mean squared error over all pixels and frames when changes (T, 10 + C, N), in steps, are not sent."""
+    """Return (N,) the mean squared error of pictures when changes (T, 10 + C, N), in steps, are not sent."""
     return np.einsum("tcn,tcn,cn->n", changes, changes, weights, optimize=True) / len(changes)

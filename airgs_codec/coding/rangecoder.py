@@ -2,7 +2,7 @@
 
 A number is sent as its bit length (six binary decisions, a tree) and then the bits below its leading one: the upper
 three each by a model, the others as they are. A model learns how often its decision is 1. The models of a number are
-those of its column (order 0) or of the number before it (order 1). The arithmetic (32-bit range, carries kept back,
+those of its column (order 0) or of the number before it (order 1). The arithmetic (32-bit range, carries delayed,
 normalised by bytes) is that of LZMA's range coder (Pavlov; after Martin 1979).
 
 The loops run as they stand, at about 4 microseconds a number, or compiled by numba where it is installed, thirty times
@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import FormatError
 
-MOST = (1 << 63) - 1  # largest number
+LARGEST_NUMBER = (1 << 63) - 1
 
 RANGE_START = 0xFFFFFFFF
-RANGE_LEAST = 1 << 24  # the range is kept at or above it
+RANGE_LEAST = 1 << 24  # the range stays at or above it
 CHANCE_HALF = 1 << 15  # probabilities are in 1 / 65536
 CHANCE_LEAST = 16  # of a 1 and of a 0, in 1 / 32768
 MODEL_MEMORY = 60  # decisions that a model remembers
@@ -44,7 +44,7 @@ _SHARES = [0, *((1 << _SHARE_BITS) // divisor + 1 for divisor in range(1, _LAST 
 _CODE, _RANGE, _AT, _CACHE, _PENDING, _CONTEXT = range(6)  # places in the state of the encoder
 _END = 3  # in that of the decoder, after the same first three: bytes of the file
 _BATCH = 1 << 14  # numbers coded into one buffer
-_MOST_BYTES = 40  # of a number: 9 modelled decisions of at most 11 bits, 60 plain ones, and bytes kept back
+_MOST_BYTES = 40  # of a number: 9 modelled decisions of at most 11 bits, 60 plain ones, and delayed bytes
 
 Whole = Any  # a list of int, or (M,) int64 where the loop is compiled
 Loop = Callable[..., Any]
@@ -82,7 +82,7 @@ def _encode(values: Whole, chances: Whole, divisors: Whole, shares: Whole, state
             low, span = (low, part) if bit else (low + part, span - part)
             while span < RANGE_LEAST:
                 span <<= 8
-                if low < 0xFF000000 or low > RANGE_START:  # else a carry may still change the bytes kept back
+                if low < 0xFF000000 or low > RANGE_START:  # else a carry may still change the delayed bytes
                     byte, carry = cache + (low >> 32), low >> 32
                     while pending:
                         out[at] = byte & 255
@@ -148,14 +148,14 @@ def _sum_gaps(gaps: Whole, low: Whole, bits: int, codes: Whole) -> bool:
     code = 0
     for i in range(len(gaps)):
         high = code >> low[i]
-        if gaps[i] > (MOST >> (63 - bits + low[i])) - high:
+        if gaps[i] > (LARGEST_NUMBER >> (63 - bits + low[i])) - high:
             return False
         code = (high + gaps[i]) << low[i]
         codes[i] = code
     return True
 
 
-Column = tuple[NDArray[np.integer], int]  # numbers (M,) in 0..MOST; order 0, or 1: the number before chooses the models
+Column = tuple[NDArray[np.integer], int]  # numbers (M,); order 0, or 1: the number before chooses the models
 
 
 @functools.cache
@@ -172,7 +172,7 @@ _numbers = 0  # that have come so far
 
 
 def worth_compiling(loop: Loop, numbers: int) -> Loop | None:
-    """Return what numba makes of a loop, for so many more numbers; None where the loop should run as it stands."""
+    """Return what numba makes of a loop, for `numbers` more numbers; None where the loop should run as it stands."""
     global _numbers
     _numbers += numbers
     return _compiled(loop) if _numbers > LOADING or "numba" in sys.modules else None
@@ -185,7 +185,7 @@ def _models(order: int) -> tuple[list[int], list[int], list[int]]:
 
 
 def encode_columns(columns: Sequence[Column]) -> bytes:
-    """Columns -> bytes, which `ColumnReader` gives back. Raises ValueError for a number below 0."""
+    """Return the bytes of columns, which `ColumnReader` reads. Raises ValueError for a number below 0."""
     compiled = worth_compiling(_encode, sum(len(numbers) for numbers, _ in columns))
     encode: Loop = compiled or _encode
     state, out = _mutable([0, RANGE_START, 0, 0, 1, 0], compiled), bytearray(_MOST_BYTES * _BATCH)
@@ -202,9 +202,9 @@ def encode_columns(columns: Sequence[Column]) -> bytes:
             encode(some if compiled else some.tolist(), *models, state, buffer)
             parts.append(bytes(out[: state[_AT]]))
             state[_AT] = 0
-    low, _, _, cache, pending, _ = map(int, state)  # the bytes that were kept back, to which a carry may still be added
-    rest = (int.from_bytes(bytes([cache]) + b"\xff" * (pending - 1), "big") << 32) + low
-    return b"".join([*parts, rest.to_bytes(pending + 4, "big")])
+    low, _, _, cache, pending, _ = map(int, state)  # the delayed bytes, to which a carry may still be added
+    last = (int.from_bytes(bytes([cache]) + b"\xff" * (pending - 1), "big") << 32) + low
+    return b"".join([*parts, last.to_bytes(pending + 4, "big")])
 
 
 def _mutable(numbers: list[int], compiled: Loop | None) -> Any:
@@ -212,7 +212,7 @@ def _mutable(numbers: list[int], compiled: Loop | None) -> Any:
 
 
 def encode_some(columns: Sequence[Column]) -> bytes:
-    """As `encode_columns`, but no bytes where every number is 0, which `ColumnReader` reads of no data."""
+    """Return the same, but no bytes where every number is 0, which `ColumnReader` reads of no data."""
     return encode_columns(columns) if any(np.any(numbers) for numbers, _ in columns) else b""
 
 
@@ -258,7 +258,7 @@ class ColumnReader:
 
 
 def sum_gaps(gaps: NDArray[np.int64], low: NDArray[np.int64], bits: int) -> NDArray[np.uint64] | None:
-    """(M,) Morton codes from gaps between neighbours without their `low` bits (FORMAT.md §3).
+    """Return (M,) Morton codes from gaps between neighbours without their `low` bits (FORMAT.md §3).
 
     None when a code does not fit `bits`.
     """

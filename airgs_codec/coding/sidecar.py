@@ -24,14 +24,14 @@ from airgs_codec.package.tables import GRID_BITS, LEAST_CLASS, MOST_CLASS, MOST_
 from airgs_codec.scene.gaussians import morton_decode, morton_encode
 
 HALF = 1 << (GRID_BITS - 1)  # steps from the middle of the grid to its sides
-ORIGIN_STEPS = 1 << 12  # origins are multiples of so many steps: larger cells rarely begin elsewhere for a row more
+ORIGIN_STEPS = 1 << 12  # whose multiples origins are: one row more rarely moves where larger cells begin
 INSIDE = 0.9  # share of the rows that are surely in the box
-LARGEST = 1e30  # world units
+MOST_REACH = 1e30  # world units
 EXACT = 50  # bits of a coordinate in steps that float64 holds, and halves of it
 
 
 def cell_bits(cells: NDArray[np.int16], grid: Grid, coarser: int = 0) -> NDArray[np.int64]:
-    """(N,) b of rows: a cell is 2^b steps of its own grid wide.
+    """Return (N,) b of rows: a cell is 2^b steps of its own grid wide.
 
     `coarser` is that of a keyframe quality, which multiplies the side of cells by 2^coarser.
     """
@@ -41,7 +41,7 @@ def cell_bits(cells: NDArray[np.int16], grid: Grid, coarser: int = 0) -> NDArray
 def grid_codes(
     means: NDArray[np.floating], classes: NDArray[np.int16], grid: Grid
 ) -> tuple[NDArray[np.uint64], NDArray[np.int16]]:
-    """(N, 3) means -> (N,) Morton codes of their finest cells, and (N,) e of the grid that each lies in.
+    """Return (N,) Morton codes of the finest cells of means (N, 3), and (N,) e of the grid that each lies in.
 
     `grid_means` is at most half a cell off on an axis.
     """
@@ -58,7 +58,7 @@ def _middle(grid: Grid) -> NDArray[np.float64]:
 
 
 def coarse_codes(codes: NDArray[np.uint64], cells: NDArray[np.int16], grid: Grid, coarser: int) -> NDArray[np.uint64]:
-    """(N,) Morton codes of the cells of a keyframe quality that hold cells as fine or finer, given by (N,) codes."""
+    """Return (N,) Morton codes of the cells of a keyframe quality that hold cells as fine or finer, given by codes."""
     low = (3 * cell_bits(cells, grid, coarser)).astype(np.uint64)
     return codes >> low << low
 
@@ -66,7 +66,7 @@ def coarse_codes(codes: NDArray[np.uint64], cells: NDArray[np.int16], grid: Grid
 def grid_means(
     codes: NDArray[np.uint64], classes: NDArray[np.int16], wider: NDArray[np.int16], grid: Grid, coarser: int = 0
 ) -> NDArray[np.float64]:
-    """Return (N, 3) middles, world units, of the cells of a keyframe quality with (N,) Morton codes of finer cells."""
+    """Return (N, 3) middles, in world units, of the cells of a keyframe quality that hold cells as fine or finer."""
     cells = classes - wider
     half = np.exp2(cell_bits(cells, grid, coarser))[:, None] / 2
     codes = coarse_codes(codes, cells, grid, coarser)
@@ -75,20 +75,20 @@ def grid_means(
 
 
 def fit_grid(means: NDArray[np.float32], classes: NDArray[np.int16], cell: float) -> Grid:
-    """The grid of (N, 3) means whose cells are `cell` motion units wide.
+    """Return the grid of means (N, 3) whose cells are `cell` motion units wide.
 
     Where the finest class would need more than GRID_BITS bits an axis for INSIDE of the rows, it shares the cells of a
-    coarser one. Raises SceneError when rows are more than LARGEST apart.
+    coarser one. Raises SceneError for distances above MOST_REACH.
     """
     middle = np.median(means, axis=0).astype(np.float64)
-    apart = np.abs(means.astype(np.float64) - middle).max(axis=1)
-    reach = float(np.quantile(apart, INSIDE))
-    if reach > LARGEST:
-        raise SceneError(f"means span {reach:g} world units: expected at most {LARGEST:g}")
+    distances = np.abs(means.astype(np.float64) - middle).max(axis=1)
+    reach = float(np.quantile(distances, INSIDE))
+    if reach > MOST_REACH:
+        raise SceneError(f"means span {reach:g} world units: expected at most {MOST_REACH:g}")
     box = reach * 2 / HALF, float(np.abs(middle).max()) / 2.0**EXACT
     finest = max([int(classes.min()), *(math.ceil(math.log2(least / cell)) for least in box if least)])
     step = cell * 2.0**finest
-    low = means[apart <= step * HALF / 2].min(axis=0).astype(np.float64)
+    low = means[distances <= step * HALF / 2].min(axis=0).astype(np.float64)
     origin = np.floor(low / step / ORIGIN_STEPS).astype(np.int64) * ORIGIN_STEPS
     return Grid(origin.tolist(), step, finest)
 
@@ -97,8 +97,7 @@ def fit_grid(means: NDArray[np.float32], classes: NDArray[np.int16], cell: float
 class KeyframeSidecar:
     """Canonical means, motion classes and depths of the rows of a tier, or of several one after another.
 
-    Where keyframes are differences to those of an earlier group, which has the means and classes, there are depths
-    alone.
+    Where keyframes are differences to those of an earlier group, which has the means and classes, only depths are sent.
     """
 
     codes: NDArray[np.uint64]  # (N,) Morton codes of the canonical means
@@ -112,7 +111,7 @@ class KeyframeSidecar:
 
 
 def pack_keyframe_sidecar(sidecar: KeyframeSidecar, grid: Grid, coarsest: int = 0) -> bytes:
-    """The bytes of keyframe/T{k}/{n}.bin, a column file; `coarsest` is `coarser` of the coarsest keyframe quality."""
+    """Return the bytes of a sidecar, a column file; `coarsest` is `coarser` of the coarsest keyframe quality."""
     carried = sidecar.depths + np.uint8(1), 1  # static rows, 255, become 0
     if not len(sidecar.codes):
         return encode_columns([carried])
@@ -126,15 +125,15 @@ def pack_keyframe_sidecar(sidecar: KeyframeSidecar, grid: Grid, coarsest: int = 
 
 
 def unpack_keyframe_sidecar(
-    data: bytes, rows: int, grid: Grid, coarsest: int, where: str, depths_alone: bool = False
+    data: bytes, rows: int, grid: Grid, coarsest: int, where: str, depths_only: bool = False
 ) -> KeyframeSidecar:
-    """Inverse of `pack_keyframe_sidecar` for so many rows, with their codes in the coarsest cells; `where` names the
+    """Read what `pack_keyframe_sidecar` writes of `rows` rows, with codes of the coarsest cells; `where` names the
     file.
 
     Raises FormatError(bad_sidecar).
     """
     reader = ColumnReader(data, where)
-    placed = 0 if depths_alone else rows
+    placed = 0 if depths_only else rows
     first = reader.column(2 if placed else 0, 0)
     if (first[:1] != coarsest).any():  # all codes would be wrong
         raise FormatError("bad_sidecar", where, f"expected coarser {coarsest}, got {first[0]}")
@@ -166,7 +165,8 @@ def detail_columns(sidecar: KeyframeSidecar, grid: Grid, coarser: int, coarsest:
 def read_detail(
     reader: ColumnReader, sidecar: KeyframeSidecar, grid: Grid, coarser: int, coarsest: int
 ) -> KeyframeSidecar:
-    """A sidecar of `unpack_keyframe_sidecar` with the codes of a keyframe quality: the inverse of `detail_columns`.
+    """Return a sidecar of `unpack_keyframe_sidecar` with the codes of a keyframe quality: the inverse of
+    `detail_columns`.
 
     Raises FormatError(bad_sidecar).
     """

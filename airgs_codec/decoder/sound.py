@@ -12,9 +12,9 @@ from airgs_codec.package.package import Package
 
 
 def decode_all(package: Package, groups: range | None = None) -> NDArray[np.int16] | None:
-    """(n, C) samples from the first frame of some groups, or of all, to the end of the last; None without sound.
+    """Return samples (n, C) of some groups, or of all, from their first frame on; None without sound.
 
-    A group whose sound cannot be had is silent.
+    A group whose sound cannot be read is silent.
     """
     m = package.manifest
     if m.sound is None:
@@ -39,7 +39,7 @@ def decode_all(package: Package, groups: range | None = None) -> NDArray[np.int1
 
 
 def decode_group(package: Package, number: int, before: tuple[bytes, ...] = ()) -> NDArray[np.int16]:
-    """(n, C) samples of all packets of a group, counted from 0; none where there is no sound.
+    """Return samples (n, C) of all packets of a group, counted from 0; none without sound.
 
     `before`: the packets that come before them. Raises FormatError: bad_sound, and what `Package.read` raises.
     """

@@ -16,7 +16,7 @@ from airgs_codec.encoder.steps import find_steps
 from airgs_codec.encoder.survey import Survey
 from airgs_codec.encoder.target import DELTA_E, Goal, search_quality, weigh_colours
 from airgs_codec.encoder.views import choose_views
-from airgs_codec.package.region import RegionSummary
+from airgs_codec.package.region import region_words
 from airgs_codec.progress import Progress, Stopwatch, silent, told
 from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
@@ -49,7 +49,7 @@ def choose(
     sequence, renderer, watch = ordered.sequence, open_renderer(settings.device), Stopwatch()
     choices = [Choice("order of Gaussians", ordered.words, ordered.seconds)]
     views, notes = choose_views(sequence, settings, renderer)
-    choices.append(Choice("views", RegionSummary.of(views.region).words, watch.lap()))
+    choices.append(Choice("views", region_words(views.region), watch.lap()))
     settings = replace(settings, steps=settings.steps.at_scale(views.scale))
     if goal and goal.metric == DELTA_E:
         settings = weigh_colours(settings, sequence, views, renderer)

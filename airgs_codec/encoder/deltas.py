@@ -79,7 +79,7 @@ def code_deltas(
         rows = np.flatnonzero((depths != STATIC) & (depths >= number))
         if level.quality != quality:  # no later level carries Gaussians that this one does not
             quality, written = level.quality, rows
-            base = bases[quality].part(written)
+            base = bases[quality].take(written)
             values = DeltaValues.write(file, frames, layout.rows[written], base, layout.delta_steps)
         coder = LevelCoder(
             values,
@@ -116,7 +116,7 @@ def rank_deltas(
     score, moving = np.empty(values.rows), np.empty(values.rows, bool)
     largest = np.empty((len(layout.segments), values.rows))
     for rows in values.chunks():
-        keyframe = delta_channels([layout.keyframe.take(rows)], base.part(rows), layout.delta_steps)[0]
+        keyframe = delta_channels([layout.keyframe.take(rows)], base.take(rows), layout.delta_steps)[0]
         changes = (values.part(rows) - keyframe) / steps
         score[rows], moving[rows] = rank_updates(layout, rows, changes, settings.update_rank)
         largest[:, rows] = [np.abs(changes[segment]).max(axis=(0, 1)) for segment in layout.local_segments]

@@ -91,7 +91,7 @@ def code_keyframe(
     def quantised(tier: int, quality: int) -> CodedTier:
         rows, factor = layout.tier_rows(tier), settings.keyframe_factors[quality]
         if base and layout.before:
-            space, steps = base[quality].part(rows), layout.difference_steps
+            space, steps = base[quality].take(rows), layout.difference_steps
             changes, before = (delta_channels([g.take(rows)], space, steps) for g in (layout.keyframe, layout.before))
             return _code_difference(changes, changes - before, layout.tier_steps(tier, DELTA) * factor)
         detail = detail_columns(layout.sidecar(rows), layout.grid, coarser[quality], coarser[-1])
@@ -168,7 +168,7 @@ def _decode_keyframe(
     for tier, coded in enumerate(tiers):
         rows = layout.tier_rows(tier)
         shared = layout.sidecar(rows)
-        before = None if base is None else base.part(rows)
+        before = None if base is None else base.take(rows)
         if not coded.pictures.gops:
             if before is not None:
                 parts.append(replace(before, depths=shared.depths))

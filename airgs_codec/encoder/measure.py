@@ -134,7 +134,7 @@ def _decoded(
     for index, some in itertools.groupby(numbers, key=m.segment_at):
         group = m.group_of(index)
         rows = sum(tier.count for tier in m.groups[group].tiers[: m.levels[level].tiers])
-        base = spaces(group, quality).part(slice(rows))
+        base = spaces(group, quality).take(slice(rows))
         start = m.segments[index].start
         yield from decode_segment(package, index, base, level, [number - start for number in some])
 

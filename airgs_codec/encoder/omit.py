@@ -49,7 +49,7 @@ class DeltaValues:
             for t, frame in enumerate(frames):
                 found = np.empty((values.channels, values.rows))
                 for part in row_chunks(values.rows, values.channels):
-                    found[:, part], drawn[t, part] = frame_channels(frame.take(rows[part]), base.part(part), steps)
+                    found[:, part], drawn[t, part] = frame_channels(frame.take(rows[part]), base.take(part), steps)
                 for channel, plane in enumerate(found):
                     file.seek(values._offset(channel, t))
                     file.write(plane.data)

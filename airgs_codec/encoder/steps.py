@@ -288,7 +288,7 @@ def _rank(subject: Subject, frames: Sequence[Gaussians]) -> tuple[NDArray[np.flo
     steps = DELTA.steps(layout.delta_steps, layout.colours)[:, None]
     score, moving = np.empty(len(layout.rows)), np.empty(len(layout.rows), bool)
     for rows in row_chunks(len(layout.rows), len(frames) * len(steps)):
-        deltas = delta_channels([frame.take(rows) for frame in frames], base.part(rows), layout.delta_steps) / steps
+        deltas = delta_channels([frame.take(rows) for frame in frames], base.take(rows), layout.delta_steps) / steps
         score[rows], moving[rows] = rank_updates(layout, rows, deltas[1:] - deltas[0], rank)
     return score, moving
 

@@ -17,15 +17,8 @@ from scipy.spatial import cKDTree
 
 from airgs_codec._arguments import argument
 from airgs_codec.analysis.rows import AUTO, restore_rows
-from airgs_codec.coding.atlas import scale_codes
 from airgs_codec.coding.channels import LEAST_DRAWN, Canonical, delta_channels, frame_channels, keyframe_channels
-from airgs_codec.decoder.decode import (
-    decode_canonical,
-    decode_keyframe,
-    decode_pictures,
-    decode_segment,
-    keyframe_units,
-)
+from airgs_codec.decoder.decode import decode_canonical, decode_pictures, decode_segment, read_keyframe
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import DELTA, Layout, keyframe_layout
 from airgs_codec.package.package import OPENED, Package, open_package
@@ -174,7 +167,7 @@ def _promised(group: Group, base: Canonical) -> NDArray[np.float64]:
         keyframe = tier.qualities[0].max_error
         keyframe = [np.inf] * (len(level) - len(keyframe)) + keyframe
         rows.append(np.where(still[part, None], keyframe, level))
-    units = [*(getattr(steps, run.attribute) for run in DELTA.runs), 1.0]
+    units = [*(getattr(steps, name) for name, _ in DELTA.runs), 1.0]
     promised = np.repeat(np.concatenate(rows) / units, FEATURE_WIDTHS, axis=1)
     promised[:, :3] *= (base.motion_units / np.median(base.motion_units))[:, None]
     promised[:, -3:] *= np.abs(base.transform)[:, :3].sum(axis=0)
@@ -209,8 +202,8 @@ def _keyframes(
         for t, tier in enumerate(group.tiers):
             part = slice(first, first := first + tier.count)
             if tier.count:
-                coded = scale_codes(decode_keyframe(package, index, t, q)[0], keyframe_units(package, index, t, q))
-                errors = np.abs(values[:, part] - (coded if coded.size else 0))
+                shown, _ = read_keyframe(package, index, t, q)
+                errors = np.abs(values[:, part] - (shown.values(slice(None)) if shown else 0))
                 where = f"group {index} keyframe T{t} {quality.id}"
                 yield from _measured(where, layout, tier.qualities[q].max_error, errors, compared[part])
 

@@ -18,7 +18,7 @@ from airgs_codec.media.metrics import psnr
 from airgs_codec.media.movie import LAYOUTS
 from airgs_codec.package.layout import DELTA, KEYFRAME
 from airgs_codec.package.manifest import Manifest, quality_of, rungs_of
-from airgs_codec.package.region import RegionSummary, world_words
+from airgs_codec.package.region import region_figures, region_words, world_words
 from airgs_codec.package.tables import LeftOut, RungQuality
 
 UNUSED = ("0", "0 %", "-", "", "…")  # cells of a column that this scene does not need
@@ -74,7 +74,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> Row:
         "duration_s": float(m.frames / m.fps),
         "sh_degree": m.sh_degree,
         "package_bytes": manifest_bytes + m.media_bytes(),
-        "region": dataclasses.asdict(RegionSummary.of(m.region)),
+        "region": region_figures(m.region),
         "world": m.world and dataclasses.asdict(m.world),
         "origin": list(m.origin or ()),
         "background": list(m.region.background or ()),
@@ -221,7 +221,7 @@ def _notes(m: Manifest) -> list[str]:
 
 
 def _head(m: Manifest, s: Row) -> list[str]:
-    views, region, background = m.views, RegionSummary.of(m.region), s["background"]
+    views, region, background = m.views, m.region, s["background"]
     measured = "quality was not measured"
     if m.rungs:
         error = max(rung.error for levels in m.rungs for rung in levels)
@@ -230,8 +230,9 @@ def _head(m: Manifest, s: Row) -> list[str]:
     return [
         f"{m.frames} frames at {s['fps']:g} fps ({s['duration_s']:.2f} s), SH degree {m.sh_degree}, "
         f"{s['package_bytes'] / 1e6:.3f} MB in all ({kilobytes(s['package_bytes'] / m.frames)} kB/frame)",
-        f"viewing region {region.words}",
-        f"views of {region.views}",
+        f"viewing region {region_words(region)}",
+        f"views of {region.width}x{region.height} pixels, {region.fov_y:.3g}° high, "
+        f"near plane at {region.near:g} units",
         world_words(m.world),
         *([f"origin: positions are from ({', '.join(f'{value:.15g}' for value in m.origin)})"] if m.origin else []),
         *([f"sound: Opus, {s['sound']['form']}, {s['sound']['mean_bps'] / 1e3:.0f} kbit/s"] if m.sound else []),

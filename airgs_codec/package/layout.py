@@ -1,9 +1,8 @@
 """How a package is laid out: its files by their paths, and the channels of its keyframe and delta atlases.
 
 FORMAT.md, sections 2 and 5. Numbers in paths, and levels of the index, count from 1; that of a media file may be the
-placeholder of a template. A channel is one scalar of an attribute and, where it
-varies, one plane of an atlas. The channels of an attribute follow each other; colour comes last, since only its width,
-C channels, depends on the scene. This is the one place that knows their order, steps and units.
+placeholder of a template. This is the one place that knows the order of channels: those of an attribute follow each
+other, and colour comes last, since only its width, C channels, depends on the scene.
 """
 
 from __future__ import annotations
@@ -44,7 +43,6 @@ PATTERNS = {  # how a path is built -> what `locate` calls it
     rf"group/{_NUMBER}\.json\.gz": "group",
     rf"index/([1-9])/{_NUMBER}\.json": "page",
 }
-RETAINED = 1 << 14  # paths whose place is known: more than a session looks at again and again
 
 
 class FileKind(StrEnum):
@@ -69,7 +67,7 @@ _LOCATED = {
 }
 
 
-@lru_cache(RETAINED)
+@lru_cache(1 << 14)  # more paths than a session looks at again and again
 def locate(path: str) -> tuple[str, tuple[int, ...]]:
     """Return what a path names, as in `PATTERNS`, and the numbers in it; "" for any other path."""
     for pattern, what in PATTERNS.items():
@@ -79,7 +77,6 @@ def locate(path: str) -> tuple[str, tuple[int, ...]]:
 
 
 def file_kind(path: str) -> FileKind:
-    """Return what a file carries, by its place in the package."""
     return _FIXED.get(path) or _LOCATED.get(locate(path)[0], FileKind.MANIFESTS)
 
 
@@ -115,58 +112,43 @@ COLOUR = "colour"
 
 
 @dataclass(frozen=True, slots=True)
-class ChannelRun:
-    """The channels of one attribute of fixed width. `coding.channels` makes them and puts them back."""
-
-    attribute: str  # the field of KeyframeSteps or DeltaSteps that holds its quantiser step
-    axes: tuple[str, ...]  # one name a channel
-    unit: str  # of a channel, and so of its step
-
-
-@dataclass(frozen=True, slots=True)
 class Layout:
     """The channels of a kind of atlas, in order: those of `runs`, then C of colour."""
 
     kind: str  # "keyframe" or "delta"
-    runs: tuple[ChannelRun, ...]
+    runs: tuple[tuple[str, int], ...]  # attributes, with steps of these names, and their channels
 
     @property
     def attributes(self) -> tuple[str, ...]:
         """Attributes in channel order, colour last: the order of `Atlas.max_error`."""
-        return (*(run.attribute for run in self.runs), COLOUR)
+        return (*(name for name, _ in self.runs), COLOUR)
 
     def names(self, colours: int) -> list[str]:
-        """The attribute of each channel, `colours` of which are of colour."""
-        return [run.attribute for run in self.runs for _ in run.axes] + [COLOUR] * colours
+        return [name for name, channels in self.runs for _ in range(channels)] + [COLOUR] * colours
 
     def width(self, colours: int) -> int:
         return len(self.names(colours))
 
     def slice(self, attribute: str) -> slice:
-        """Where the channels of an attribute are. Raises ValueError for an attribute this kind of atlas has not."""
+        """Return where the channels of an attribute are. Raises ValueError for one that this kind does not have."""
         names = self.names(1)
         start = names.index(attribute)
         return slice(start, None if attribute == COLOUR else start + names.count(attribute))
 
     def attribute_index(self, channels: int) -> NDArray[np.intp]:
-        """(channels,) place of each channel's attribute in `attributes`."""
+        """Return (channels,) the place of each channel's attribute in `attributes`."""
         return np.array([self.attributes.index(name) for name in self.names(channels)[:channels]])
 
     def steps(self, steps: KeyframeSteps | DeltaSteps, colours: int) -> NDArray[np.float64]:
-        """(channels,) quantiser step of each channel at factor 1; colour channels count in steps already."""
+        """Return (channels,) quantiser steps at factor 1; colour channels count in steps already."""
         return np.array([1.0 if name == COLOUR else getattr(steps, name) for name in self.names(colours)])
 
 
-_XYZ = ("x", "y", "z")
-_RUNS = (
-    ChannelRun("means", _XYZ, "motion units"),
-    ChannelRun("log_scales", _XYZ, "ln(world units)"),
-    ChannelRun("quaternions", _XYZ, "radians"),
-    ChannelRun("opacity", ("alpha",), "of [0, 1]"),
-)
+# Motion units, ln(world units), radians, and opacity of [0, 1].
+_RUNS = (("means", 3), ("log_scales", 3), ("quaternions", 3), ("opacity", 1))
 KEYFRAME, DELTA = Layout("keyframe", _RUNS[1:]), Layout("delta", _RUNS)  # canonical means travel in the sidecar
 
 
 def keyframe_layout(group: Group) -> Layout:
-    """Return the channels of the keyframe pictures of a group: those of a delta where it is coded against a base."""
+    """Return the layout of the keyframe pictures of a group: that of a delta where they are differences to a base."""
     return KEYFRAME if group.base is None else DELTA

@@ -6,11 +6,10 @@ Groups, segments, keyframe tiers, qualities and levels are counted from 0; group
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections import OrderedDict
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import accumulate
+from operator import attrgetter
 from typing import Literal, overload
 
 from airgs_codec.errors import FormatError
@@ -19,7 +18,7 @@ from airgs_codec.package.layout import group_path, page_path
 from airgs_codec.package.parse import check_base, pack_group, pack_json
 from airgs_codec.package.tables import PAGE, Entry, FileEntry, Group, Header, RungQuality, Segment, Spans, file_entry
 
-KEPT = 1024  # tables of groups
+TABLES_IN_MEMORY = 1024  # of groups
 EMPTY = Spans([], [], [], "")
 Count = Literal["groups", "frames", "segments"]
 ReadPage = Callable[[str, Entry], Spans]  # path and what is said of a page -> the page
@@ -30,7 +29,7 @@ def count_groups(index: Sequence[Spans]) -> int:
 
 
 def build_index(groups: Sequence[Group], tables: Sequence[bytes]) -> tuple[list[Spans], dict[str, Spans]]:
-    """The index of groups whose tables are these bytes, and its pages by their paths."""
+    """Return the index of groups whose tables are these bytes, and its pages by their paths."""
     index: list[Spans] = []
     pages: dict[str, Spans] = {}
     for number, (group, table) in enumerate(zip(groups, tables, strict=True)):
@@ -42,10 +41,9 @@ def build_index(groups: Sequence[Group], tables: Sequence[bytes]) -> tuple[list[
 def extend_index(
     index: Sequence[Spans], number: int, group: Group, table: bytes
 ) -> tuple[list[Spans], dict[str, Spans]]:
-    """The index with one more group, counted from 0, whose table is these bytes, and the pages that it has filled.
+    """Return the index with one more group, counted from 0, whose table is these bytes, and the pages that it fills.
 
-    As with the digits of a number in base PAGE: a level that would have PAGE entries has none, and the one above has
-    one more, which is the page that they stand on.
+    As in a number in base PAGE, a level that would have PAGE entries has none, and the one above has one more: a page.
     """
     frames, segments, file = group.stop - group.start, len(group.segments), file_entry(table)
     pages: dict[str, Spans] = {}
@@ -58,146 +56,140 @@ def extend_index(
     raise AssertionError("the level above all others has one entry")
 
 
-class _Block:
-    """Parts that follow each other: those of a level in the root, or those on a page. `level` 0: they are groups."""
+@dataclass(frozen=True, slots=True)
+class _Part(Entry):
+    """What the index says of a group (level 0), or of those on a page."""
 
-    def __init__(self, spans: Spans, level: int, group: int, frame: int, segment: int) -> None:
-        """The last three are where the first part begins."""
-        self.level, self.spans = level, spans
-        self.groups = range(group, group + PAGE**level * len(spans), PAGE**level)
-        self.frames = list(accumulate(spans.frames, initial=frame))[:-1]
-        self.segments = list(accumulate(spans.segments, initial=segment))[:-1]
+    level: int
+    group: int  # the first
 
-    def place(self, count: Count, number: int) -> int:
-        """The place of the last part that begins at a group, frame or segment or before; -1 where all are later."""
-        return bisect_right(getattr(self, count), number) - 1
+    @property
+    def path(self) -> str:
+        return page_path(self.level, self.group // PAGE**self.level + 1)
 
-    def path(self, place: int) -> str:
-        return page_path(self.level, self.groups[place] // PAGE**self.level + 1)
 
-    def entry(self, place: int) -> Entry:
-        start, spans = self.frames[place], self.spans
-        return Entry(start, start + spans.frames[place], self.segments[place], spans.segments[place], spans.file(place))
+def _parts(spans: Spans, level: int, group: int, frame: int, segment: int) -> list[_Part]:
+    """Return the parts of a level in the root, or those on a page; the last three are where the first one begins."""
+    parts = []
+    for place, (frames, segments) in enumerate(zip(spans.frames, spans.segments, strict=True)):
+        parts.append(_Part(frame, frame + frames, segment, segments, spans.file(place), level, group))
+        group, frame, segment = group + PAGE**level, frame + frames, segment + segments
+    return parts
+
+
+FIRST_OF = {"groups": attrgetter("group"), "frames": attrgetter("start"), "segments": attrgetter("first_segment")}
 
 
 class GroupIndex:
     """Finds groups by descending from the root. `read_page` gives the page at a path; each is asked for once.
 
-    What is asked for may raise what `read_page` raises, and IndexError for what is outside the sequence.
+    Methods may raise what `read_page` raises, and IndexError for what is outside the sequence.
     """
 
     def __init__(self, index: Sequence[Spans], read_page: ReadPage) -> None:
         self._read_page = read_page
-        self._pages: dict[str, _Block] = {}
-        self._top: list[_Block] = []  # those of the root, the last groups first
+        self._pages: dict[str, list[_Part]] = {}
+        self._top: list[_Part] = []  # those of the root
         self.groups = self.frames = self.segments = 0
-        for level in reversed(range(len(index))):
-            spans = index[level]
-            self._top.insert(0, _Block(spans, level, self.groups, self.frames, self.segments))
+        for level, spans in reversed(list(enumerate(index))):
+            self._top += _parts(spans, level, self.groups, self.frames, self.segments)
             self.groups += PAGE**level * len(spans)
             self.frames += sum(spans.frames)
             self.segments += sum(spans.segments)
 
     def entry(self, group: int) -> Entry:
-        *_, (block, place) = self._descend("groups", group)
-        return block.entry(place)
+        *_, part = self._descend("groups", group)
+        return part
 
     def at_frame(self, frame: int) -> int:
-        *_, (block, place) = self._descend("frames", frame)
-        return block.groups[place]
+        *_, part = self._descend("frames", frame)
+        return part.group
 
     def at_segment(self, segment: int) -> int:
-        *_, (block, place) = self._descend("segments", segment)
-        return block.groups[place]
+        *_, part = self._descend("segments", segment)
+        return part.group
 
     def pages(self) -> Iterator[str]:
-        """The paths of all pages, those that lead to others first."""
-        for level in reversed(range(1, len(self._top) + 1)):
+        """Yield the paths of all pages, those that lead to others first."""
+        for level in range(self._top[0].level, 0, -1):
             yield from (page_path(level, number) for number in range(1, self.groups // PAGE**level + 1))
 
-    def sweep(self, blocks: Iterable[_Block] | None = None) -> Iterator[int | FormatError]:
-        """Every group, in order; in place of those that a page would lead to that cannot be read, why not."""
-        for block in reversed(self._top) if blocks is None else blocks:
-            for place, group in enumerate(block.groups):
-                if not block.level:
-                    yield group
-                    continue
-                try:
-                    page = self._page(block, place)
-                except FormatError as error:
-                    yield error
-                else:
-                    yield from self.sweep([page])
+    def sweep(self, parts: Iterable[_Part] | None = None) -> Iterator[int | FormatError]:
+        """Yield every group, in order; in place of those that a page leads to that cannot be read, why not."""
+        for part in self._top if parts is None else parts:
+            if not part.level:
+                yield part.group
+                continue
+            try:
+                page = self._page(part)
+            except FormatError as error:
+                yield error
+            else:
+                yield from self.sweep(page)
 
     def page_file(self, level: int, number: int) -> FileEntry:
-        for block, place in self._descend("groups", number * PAGE**level):
-            if block.level == level:
-                return block.entry(place).file
+        for part in self._descend("groups", number * PAGE**level):
+            if part.level == level:
+                return part.file
         raise IndexError(f"page {number} of level {level}: there is none")
 
     def check_page(self, level: int, number: int) -> None:
-        next(block for block, _ in self._descend("groups", number * PAGE**level) if block.level < level)
+        next(part for part in self._descend("groups", number * PAGE**level) if part.level < level)
 
     def pages_to(self, count: Count, number: int) -> Iterator[str]:
-        """The pages that lead to a group, frame or segment, from the root on; each is read when the next is wanted."""
-        return (block.path(place) for block, place in self._descend(count, number) if block.level)
+        """Yield the pages that lead to a group, frame or segment, from the root on; reads each but the last."""
+        return (part.path for part in self._descend(count, number) if part.level)
 
-    def missing_pages(self, segments: range, there: Container[str]) -> list[str]:
-        """Pages with some of these segments that are not there, as far as pages that are there lead to them."""
-        missing, blocks = [], [block for block in self._top if block.level]
-        while blocks:
-            block = blocks.pop()
-            for place, first in enumerate(block.segments):
-                if first >= segments.stop or first + block.spans.segments[place] <= segments.start:
-                    continue
-                if block.path(place) not in there:
-                    missing.append(block.path(place))
-                elif block.level > 1:
-                    blocks.append(self._page(block, place))
+    def missing_pages(self, segments: range, known: Container[str]) -> list[str]:
+        """Return pages with some of these segments that are not known, as far as known pages lead to them."""
+        missing, parts = [], [*self._top]
+        for part in parts:  # which grows
+            own = range(part.first_segment, part.first_segment + part.segments)
+            if part.level and own.start < segments.stop and own.stop > segments.start:
+                if part.path not in known:
+                    missing.append(part.path)
+                elif part.level > 1:
+                    parts += self._page(part)
         return missing
 
     def guess_span(self, segment: int) -> tuple[int, int]:
-        """Frames [start, stop) of a segment as if those of its group were of one length, or those of a page that
+        """Return frames [start, stop) of a segment as if those of its group were of one length, or those of a page that
         cannot be read.
         """
         with suppress(FormatError):
-            for block, place in self._descend("segments", segment):
-                entry = block.entry(place)
-        before, frames = segment - entry.first_segment, entry.stop - entry.start
-        return entry.start + frames * before // entry.segments, entry.start + frames * (before + 1) // entry.segments
+            for part in self._descend("segments", segment):
+                found = part
+        before, frames = segment - found.first_segment, found.stop - found.start
+        return found.start + frames * before // found.segments, found.start + frames * (before + 1) // found.segments
 
-    def _descend(self, count: Count, number: int) -> Iterator[tuple[_Block, int]]:
-        """The blocks that lead to a group, frame or segment, and the places in them; the first is of the root."""
+    def _descend(self, count: Count, number: int) -> Iterator[_Part]:
+        """Yield the parts that lead to a group, frame or segment, from the root on."""
         total: int = getattr(self, count)
         if not 0 <= number < total:
             raise IndexError(f"{count}: expected 0 to {total - 1}, got {number}")
-        block = next(block for block in self._top if block.place(count, number) >= 0)
+        parts = self._top
         while True:
-            place = block.place(count, number)
-            yield block, place
-            if not block.level:
+            part = parts[bisect_right(parts, number, key=FIRST_OF[count]) - 1]
+            yield part
+            if not part.level:
                 return
-            block = self._page(block, place)
+            parts = self._page(part)
 
-    def _page(self, block: _Block, place: int) -> _Block:
-        path, entry = block.path(place), block.entry(place)
-        if path not in self._pages:
-            page, group = self._read_page(path, entry), block.groups[place]
-            self._pages[path] = _Block(page, block.level - 1, group, entry.start, entry.first_segment)
-        return self._pages[path]
+    def _page(self, part: _Part) -> list[_Part]:
+        if part.path not in self._pages:
+            page = self._read_page(part.path, part)
+            self._pages[part.path] = _parts(page, part.level - 1, part.group, part.start, part.first_segment)
+        return self._pages[part.path]
 
 
 class Groups(Sequence[Group]):
-    """The groups of a package in order. The tables last used stay in memory, the others are read again; one that is
-    refused is not, as it is what its digest says.
-    """
+    """The groups of a package in order. The tables last used stay in memory, the others are read again."""
 
     def __init__(self, index: list[Spans], read_page: ReadPage, read: Callable[[int, Entry], Group]) -> None:
         self.columns = index
         self.places = GroupIndex(index, read_page)
         self._read = read
-        self._kept: OrderedDict[int, Group] = OrderedDict()
-        self._refused: dict[int, FormatError] = {}
+        self._known: dict[int, Group] = {}  # the last used at the end
 
     @staticmethod
     def of(groups: Sequence[Group]) -> Groups:
@@ -215,22 +207,14 @@ class Groups(Sequence[Group]):
         if isinstance(place, slice):
             return [self[i] for i in range(len(self))[place]]
         number = range(len(self))[place]
-        if number in self._refused:
-            raise self._refused[number].with_traceback(None)
-        if number not in self._kept:
-            try:
-                self.keep(number, self._read(number, self.places.entry(number)))
-            except FormatError as error:
-                if error.reason != "missing_file":  # which may come
-                    self._refused[number] = error
-                raise
-        self._kept.move_to_end(number)
-        return self._kept[number]
+        group = self._known.pop(number, None) or self._read(number, self.places.entry(number))
+        self.keep(number, group)
+        return group
 
     def keep(self, number: int, group: Group) -> None:
-        self._kept[number] = group
-        if len(self._kept) > KEPT:
-            self._kept.popitem(last=False)
+        self._known[number] = group
+        if len(self._known) > TABLES_IN_MEMORY:
+            del self._known[next(iter(self._known))]
 
 
 class Segments(Sequence[Segment]):
@@ -248,7 +232,6 @@ class Segments(Sequence[Segment]):
 
 @dataclass(frozen=True, slots=True)
 class Manifest(Header):
-    init: FileEntry
     groups: Groups
 
     @property
@@ -263,24 +246,19 @@ class Manifest(Header):
         return range(entry.first_segment, entry.first_segment + entry.segments)
 
     def segment_at(self, frame: int) -> int:
-        """The segment that shows a frame. Raises IndexError outside the sequence."""
+        """Return the segment that shows a frame. Raises IndexError outside the sequence."""
         group = self.groups.places.at_frame(frame)
-        stops = [segment.stop for segment in self.groups[group].segments]
-        return self.segments_of(group)[next(i for i, stop in enumerate(stops) if frame < stop)]
+        return self.segments_of(group)[bisect_right(self.groups[group].segments, frame, key=attrgetter("start")) - 1]
 
     def keyframe_files(self, group: int, tier: int, quality: int) -> list[str]:
-        """Sidecar and picture of one keyframe tier; no picture of an atlas without rows, nothing of a tier without."""
+        """Return sidecar and picture of a keyframe tier, where it has Gaussians and a picture."""
         entry, files = self.groups[group].tiers[tier], [layout.keyframe_sidecar_path(tier, group + 1)]
         if entry.qualities[quality].rows:
             files.append(layout.keyframe_media_path(tier, quality, group + 1))
         return files if entry.count else []
 
     def base_of(self, group: int) -> int | None:
-        """The group whose rows a group keeps, counted from 0 as well; None where it keeps none.
-
-        Raises FormatError: bad_value where that group is laid out otherwise or keeps some itself, and what reading its
-        table raises.
-        """
+        """Return the base of a group, counted from 0 as well, or None. Raises FormatError where it does not fit."""
         table = self.groups[group]
         if table.base is None:
             return None
@@ -288,8 +266,8 @@ class Manifest(Header):
         return table.base - 1
 
     def delta_files(self, segment: int, level: int) -> list[str]:
-        there = self.segments[segment].levels[level].file.bytes > 0
-        return [layout.delta_media_path(level, segment + 1)] if there else []
+        entry = self.segments[segment].levels[level].file
+        return [layout.delta_media_path(level, segment + 1)] if entry.bytes else []
 
     def sound_files(self, group: int) -> list[str]:
         entry = self.groups[group].sound
@@ -313,14 +291,14 @@ class Manifest(Header):
         yield from (group_path(number + 1) for number in range(len(self.groups)))
 
     def files(self) -> Iterator[str]:
-        """Every file of the package but airgs.json and manifest.mpd; reads the table of every group."""
+        """Yield every file of the package but airgs.json and manifest.mpd; reads the table of every group."""
         yield from self.shared_files()
         yield from self.table_files()
         for group in range(len(self.groups)):
             yield from self.group_files(group)
 
     def entry(self, path: str) -> FileEntry:
-        """Length and digest of a file. Raises FormatError(missing_entry) for one that the tables do not have."""
+        """Return length and digest of a file. Raises FormatError(missing_entry) for one that no table has."""
         with suppress(IndexError):
             if (found := self._entry(path)) and found.bytes:
                 return found
@@ -346,12 +324,11 @@ class Manifest(Header):
         return sum(self.entry(path).bytes for path in paths)
 
     def media_bytes(self) -> int:
-        """Length of all files but the tables and manifest.mpd."""
-        groups = (self.bytes_of(self.group_files(group)) for group in range(len(self.groups)))
-        return self.bytes_of(self.shared_files()) + sum(groups)
+        """Return the length of all files but the tables and manifest.mpd."""
+        return sum(map(self.bytes_of, [self.shared_files(), *map(self.group_files, range(len(self.groups)))]))
 
     def rung_files(self, quality: int, level: int, groups: Sequence[int] | None = None) -> list[str]:
-        """Every file a viewer of one rung fetches of some groups, by default of all, without tables."""
+        """Return every file that viewers of a rung fetch of some groups, by default of all, without tables."""
         tiers, groups = range(self.levels[level].tiers), range(len(self.groups)) if groups is None else groups
         sound = [path for g in groups for path in self.sound_files(g)]
         keyframes = [path for g in groups for t in tiers for path in self.keyframe_files(g, t, quality)]
@@ -375,7 +352,7 @@ class Rung:
 
 
 def rungs_of(m: Manifest, manifest_bytes: int) -> tuple[Rung, ...]:
-    """The rungs of a package whose tables and manifest.mpd have `manifest_bytes` together, quality by quality."""
+    """Return the rungs of a package whose tables and manifest.mpd have `manifest_bytes`, quality by quality."""
     rungs = []
     for q, quality in enumerate(m.qualities):
         for j, level in enumerate(m.levels):
@@ -387,27 +364,24 @@ def rungs_of(m: Manifest, manifest_bytes: int) -> tuple[Rung, ...]:
 
 
 def quality_of(m: Manifest, level: int, quality: int) -> RungQuality | None:
-    """The quality of a rung over the whole package; None where it was not measured."""
     return m.rungs[quality][level] if m.rungs else None
 
 
 def on_ladder(rungs: Sequence[tuple[float, float | None]]) -> list[bool]:
-    """Whether each of some rungs (bytes, PSNR in dB) is on the lower convex hull of mean squared error over bytes.
+    """Return whether each of some rungs (bytes, PSNR in dB) is on the lower convex hull of squared error over bytes.
 
-    A rung above it, such as the finest keyframes with the coarsest deltas, is beaten by some mixture of two on it; so
-    is, for what is known of it, one that was not measured.
+    Some mixture of two on it beats a rung above it, such as the finest keyframes with the coarsest deltas. A rung that
+    was not measured is not on it.
     """
+
+    def slope(a: tuple[float, float], b: tuple[float, float]) -> float:
+        return float(10.0 ** (-b[1] / 10) - 10.0 ** (-a[1] / 10)) / (b[0] - a[0])
+
     hull: list[tuple[float, float]] = []  # both ascending
-    measured = [(size, psnr) for size, psnr in rungs if psnr is not None]
-    for point in sorted(measured, key=lambda p: (p[0], -p[1])):
+    for point in sorted(((size, psnr) for size, psnr in rungs if psnr is not None), key=lambda p: (p[0], -p[1])):
         if hull and point[1] <= hull[-1][1]:
             continue
-        while len(hull) > 1 and _slope(hull[-2], hull[-1]) >= _slope(hull[-2], point):
+        while len(hull) > 1 and slope(hull[-2], hull[-1]) >= slope(hull[-2], point):
             hull.pop()
         hull.append(point)
     return [rung in hull for rung in rungs]
-
-
-def _slope(a: tuple[float, float], b: tuple[float, float]) -> float:
-    errors = [10.0 ** (-psnr / 10) for _, psnr in (a, b)]
-    return (errors[1] - errors[0]) / (b[0] - a[0])

@@ -1,17 +1,16 @@
 """manifest.mpd: a valid DASH MPD over the package's files, one Period. Advisory; airgs.json is normative.
 
 One AdaptationSet for the delta (its Representations are the levels), one for each keyframe tier (the keyframe
-qualities) and one for the sound, whose timeline is that of the groups: packets meet it to 20 ms. The shape was chosen
-by what ffmpeg and dash.js read: SegmentTemplate with $Number$ and an explicit SegmentTimeline, SupplementalProperty
-only, relative addresses, one init segment for all. The SegmentTemplate stands in the AdaptationSet where the timelines
-of its Representations are equal; otherwise each has its own, and the set has none (video.js would play the files of
-both). Runs of equal segments are one S, so that the MPD does not grow with a regular sequence. DASH players stop at a
-gap in a timeline, and count files from its beginning: where nothing of a level moves, and the tables have no file, a
-still file of one grey picture takes its place, which only DASH players fetch. Keyframe tiers without a picture in a
-group leave gaps.
+qualities) and one for the sound, whose timeline is that of the groups: packets meet it to 20 ms. ffmpeg and dash.js
+read SegmentTemplate with $Number$ and an explicit SegmentTimeline, SupplementalProperty, relative addresses and one
+init segment for all. The SegmentTemplate stands in the AdaptationSet where the timelines of its Representations are
+equal; otherwise each has its own, and the set has none (video.js would play the files of both). Runs of equal segments
+are one S. DASH players stop at a gap in a timeline, and count files from its beginning: where nothing of a level moves,
+a still file of one grey picture, which no table lists, takes its place. Keyframe tiers without a picture in a group
+leave gaps.
 
-What only DASH players and pages read is checked against the tables: the MPD, which is refused with its reason where a
-player would follow it elsewhere, init files, the poster, and the boxes of sound. No video is decoded.
+What only DASH players and pages read is checked against the tables: the MPD, which is refused where a player would
+follow it elsewhere, init files, the poster, and the boxes of sound. No video is decoded.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ DASH = "urn:mpeg:dash:schema:mpd:2011"
 MIN_BUFFER_S = 1.0
 NUMBER = "$Number$"  # stands for the number of a file in a SegmentTemplate
 SOUND = "sound"
-ID = "$RepresentationID$"  # stands there for the id, which is the folder of the files below that of all of its kind
+ID = "$RepresentationID$"  # stands in a template for the id, which is part of the paths of its files
 _XLINK = "{http://www.w3.org/1999/xlink}"
 _LEAD_AWAY = ("BaseURL", "Location", "PatchLocation")  # elements that change where a player fetches
 _ELEMENTS = {  # that this format uses: their attributes, and children in the order of ISO/IEC 23009-1's schema
@@ -75,7 +74,7 @@ class Run:
 
 @dataclass(slots=True)
 class Representation:
-    """What the MPD says of one stream: its files and when they play. It grows by one file after the other."""
+    """What the MPD says of one stream, to which file after file is added: where they are and when they play."""
 
     id: str
     media: str  # template with $Number$
@@ -85,7 +84,7 @@ class Representation:
 
     @property
     def bandwidth(self) -> int:
-        """Bits a second: at this rate every run of files has come MIN_BUFFER_S after its first one begins to play."""
+        """Bits a second at which every run of files has arrived MIN_BUFFER_S after its first one begins to play."""
         return int(self.rate) + 1
 
     def append(self, run: Run) -> None:
@@ -96,7 +95,7 @@ class Representation:
             self.timeline.append(run)
 
     def add(self, m: Header, number: int, span: Group | Segment, size: int) -> None:
-        """Add the next file; one of no bytes is not there."""
+        """Add the next file, unless it has no bytes."""
         if size:
             frames, ticks = span.stop - span.start, m.frame_ticks
             self.append(Run(number, span.start * ticks, frames * ticks))
@@ -116,15 +115,14 @@ class AdaptationSet:
 class LiveClock:
     """The times that the MPD of a growing package names."""
 
-    available: datetime  # when its first frame was, or would have been, there
+    available: datetime  # of its first frame
     published: datetime  # of this MPD
 
 
 class Streams:
-    """What the MPD says of all groups, whose tables are looked at once, in their order; regular ones take no room."""
+    """What the MPD says of all groups, which are added one by one; regular ones take no memory."""
 
     def __init__(self, m: Header) -> None:
-        """`m`: the package, whose groups are added one by one."""
         self._header = m
         self._deltas = [Representation(f"L{j}", layout.delta_media_path(j, NUMBER)) for j in range(len(m.levels))]
         self._keyframes = [
@@ -164,7 +162,7 @@ class Streams:
         return stills
 
     def sets(self) -> list[AdaptationSet]:
-        """The delta, then each keyframe tier, then the sound, as far as they have files."""
+        """Return the delta, then each keyframe tier, then the sound, as far as they have files."""
         keyframes = [(f"keyframe;tier={t}", 1, row) for t, row in enumerate(self._keyframes)]
         sets = [("delta", 10, self._deltas), *keyframes, (SOUND, 1, [self._sound])]
         listed = [AdaptationSet(role, priority, [r for r in row if r.timeline]) for role, priority, row in sets]
@@ -178,7 +176,7 @@ def still_files(m: Manifest) -> Iterator[tuple[str, bytes]]:
 
 
 def write_mpd(m: Manifest, clock: LiveClock | None = None, streams: Streams | None = None) -> bytes:
-    """The text of manifest.mpd. Raises ConfigError for a growing package without a clock.
+    """Return the text of manifest.mpd. Raises ConfigError for a growing package without a clock.
 
     `streams`: those of all groups, where they are known; by default the table of every group is read.
     """
@@ -249,70 +247,65 @@ def check_mpd(data: bytes, m: Manifest, streams: Streams | None = None) -> None:
     Reasons: doctype, bad_mpd, foreign_url, mpd_mismatch.
     """
     root = _read_xml(data)
-    periods = root.findall(f"{{{DASH}}}Period")
-    expect(_local(root) == "MPD" and len(periods) == 1, MPD_NAME, "expected an MPD with one Period", "bad_mpd")
-    for parent in root.iter():
-        _check_attributes(parent)
-        for child in parent:
-            _check_child(_local(parent), child)
+    periods = root.findall("Period")
+    expect(root.tag == "MPD" and len(periods) == 1, MPD_NAME, "expected an MPD with one Period", "bad_mpd")
+    for element in root.iter():
+        _check_element(element)
     _check_times(root, periods[0], m)
-    found = [(row, row.findall(f"{{{DASH}}}Representation")) for row in root.iter(f"{{{DASH}}}AdaptationSet")]
-    expected = [s.representations for s in (streams or Streams.of(m)).sets()]
-    _check_ids([[r.get("id", "") for r in rows] for _, rows in found], [[r.id for r in rows] for rows in expected])
-    wanted = {r.id: r for rows in expected for r in rows}
-    for row, rows in found:
-        _check_kind(row, rows)
-        for element in rows:
-            expects = wanted[element.get("id", "")]
-            got = _read(row, element, m, expects.id)
-            expect(got == expects, f"{MPD_NAME} {expects.id}", f"expected {expects}, got {got}", "mpd_mismatch")
+    found: dict[str, object] = {}  # by id: the Representations of the set, what kind they are of, and this one
+    wanted: dict[str, object] = {}
+    for adaptation_set in root.iter("AdaptationSet"):
+        rows = adaptation_set.findall("Representation")
+        ids = {row.get("id", "") for row in rows}
+        for row in rows:
+            stream = _read_representation(adaptation_set, row, m)
+            expect(stream.id not in found, MPD_NAME, "expected a different id for each Representation", "bad_mpd")
+            found[stream.id] = ids, {name: adaptation_set.get(name) for name in _kind_of(False)}, stream
+    for one in (streams or Streams.of(m)).sets():
+        ids = {stream.id for stream in one.representations}
+        wanted |= {stream.id: (ids, _kind_of(one.role == SOUND), stream) for stream in one.representations}
+    for name in sorted(found.keys() | wanted.keys()):
+        expected, got, where = wanted.get(name, "nothing"), found.get(name, "nothing"), f"{MPD_NAME} {name}"
+        expect(got == expected, where, f"expected {expected}, got {got}", "mpd_mismatch")
 
 
 def _read_xml(data: bytes) -> ET.Element:
-    """The root element. One encoding, so that a DOCTYPE cannot hide from the search in another one."""
+    """Return the root; DASH elements have their local names, others begin with {}. No encoding hides a DOCTYPE."""
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:
         raise FormatError("bad_mpd", MPD_NAME, f"expected UTF-8: {error.reason} at byte {error.start}") from error
     # Of zero bytes the parser would take it for UTF-16, in which the search below finds nothing.
     expect("\0" not in text, MPD_NAME, "expected UTF-8 without zero bytes", "bad_mpd")
-    declared = re.match(r"""\ufeff?<\?xml[^>]*?\sencoding\s*=\s*["']([^"']*)""", text)
-    encoding = declared[1] if declared else "utf-8"
-    expect(encoding.lower() == "utf-8", MPD_NAME, f"expected UTF-8, got {encoding!r}", "bad_mpd")
+    other = re.match(r"""\ufeff?<\?xml[^>]*?\sencoding\s*=\s*["'](?!utf-8["'])""", text, re.IGNORECASE)
+    expect(not other, MPD_NAME, "expected UTF-8, got another encoding", "bad_mpd")
     plain = not re.search("<!(DOCTYPE|ENTITY)", text, re.IGNORECASE)
     expect(plain, MPD_NAME, "expected XML without a DOCTYPE", "doctype")
     try:
-        return ET.fromstring(text)
+        root = ET.fromstring(text)
     except ET.ParseError as error:
         raise FormatError("bad_mpd", MPD_NAME, f"expected XML: {error}") from error
+    for element in root.iter():
+        namespace, _, name = element.tag.rpartition("}")
+        element.tag = name if namespace == f"{{{DASH}" else f"{{}}{element.tag}"
+    return root
 
 
-def _local(element: ET.Element) -> str:
-    """Name of a DASH element without its namespace; empty for any other element."""
-    namespace, _, name = element.tag.rpartition("}")
-    return name if namespace == f"{{{DASH}" else ""
-
-
-def _check_attributes(element: ET.Element) -> None:
-    """Only what this format uses, and no address outside the package: a player might follow it, a check would not."""
-    name = _local(element)
-    where = f"{MPD_NAME} {name}"
+def _check_element(element: ET.Element) -> None:
+    """Refuse what this format does not use, and addresses outside the package: a player might follow them."""
+    name = element.tag
+    where, (attributes, children) = f"{MPD_NAME} {name}", _ELEMENTS[name]
     for attribute, value in element.attrib.items():
         expect(not attribute.startswith(_XLINK), where, "expected no xlink", "foreign_url")
-        known = name not in _ELEMENTS or attribute in _ELEMENTS[name][0].split()
-        expect(known, where, f"unknown attribute {attribute!r}", "bad_mpd")
-        if name == "UTCTiming" and attribute == "value":
-            expect(value == MPD_NAME, where, f"expected {MPD_NAME}, got {value!r}", "foreign_url")
-        if name == "SegmentTemplate":
-            inside = not (":" in value or value.startswith("/") or ".." in value.split("/"))
-            words = f"expected a relative address inside the package, got {value!r}"
-            expect(inside, MPD_NAME, words, "foreign_url")
-
-
-def _check_child(parent: str, child: ET.Element) -> None:
-    name, where = _local(child), f"{MPD_NAME} {parent}"
-    expect(name not in _LEAD_AWAY, where, f"expected relative addresses without {name}", "foreign_url")
-    expect(name in _ELEMENTS[parent][1].split(), where, f"unknown element {child.tag!r}", "bad_mpd")
+        expect(attribute in attributes.split(), where, f"unknown attribute {attribute!r}", "bad_mpd")
+        clock = name == "UTCTiming" and attribute == "value"
+        expect(not clock or value == MPD_NAME, where, f"expected {MPD_NAME}, got {value!r}", "foreign_url")
+        inside = not (":" in value or value.startswith("/") or ".." in value.split("/"))
+        words = f"expected a relative address inside the package, got {value!r}"
+        expect(inside or name != "SegmentTemplate", MPD_NAME, words, "foreign_url")
+    for child in (inner.tag for inner in element):
+        expect(child not in _LEAD_AWAY, where, f"expected relative addresses without {child}", "foreign_url")
+        expect(child in children.split(), where, f"unknown element {child!r}", "bad_mpd")
 
 
 def _check_times(root: ET.Element, period: ET.Element, m: Manifest) -> None:
@@ -320,54 +313,32 @@ def _check_times(root: ET.Element, period: ET.Element, m: Manifest) -> None:
     words = f"airgs.json says live: {m.live}, got a {kind} presentation"
     expect(kind == ("dynamic" if m.live else "static"), MPD_NAME, words, "mpd_mismatch")
     if m.live:
-        fits = not text and root.get("availabilityStartTime")
-        expect(fits, MPD_NAME, "expected an availabilityStartTime and no duration", "bad_mpd")
+        named = not text and root.get("availabilityStartTime")
+        expect(named, MPD_NAME, "expected an availabilityStartTime and no duration", "bad_mpd")
     else:
-        found, seconds = re.fullmatch(r"PT(\d{1,12}(?:\.\d{1,12})?)S", text or "", re.ASCII), float(m.frames / m.fps)
-        if found is None:
-            words = f"expected mediaPresentationDuration as PT…S, got {text or ''!r}"
-            raise FormatError("bad_mpd", MPD_NAME, words)
+        fits, seconds = re.fullmatch(r"PT\d{1,12}(\.\d{1,12})?S", text or "", re.ASCII), float(m.frames / m.fps)
+        expect(fits, MPD_NAME, f"expected mediaPresentationDuration as PT…S, got {text or ''!r}", "bad_mpd")
         words = f"expected a presentation of {seconds:.6f} s, got {text}"
-        expect(abs(float(found[1]) - seconds) <= 1e-5, MPD_NAME, words, "mpd_mismatch")
+        expect(abs(float((text or "")[2:-1]) - seconds) <= 1e-5, MPD_NAME, words, "mpd_mismatch")
     got = period.get("start", "PT0S"), period.get("duration", text), root.get("minBufferTime")
     expected = "PT0S", text, f"PT{MIN_BUFFER_S:g}S"
     words = f"expected the start and duration of the Period and minBufferTime {expected}, got {got}"
     expect(got == expected, MPD_NAME, words, "mpd_mismatch")
 
 
-def _check_ids(found: list[list[str]], expected: list[list[str]]) -> None:
-    """The same Representations in the same AdaptationSets; the order of either is free."""
-    got, wanted = ([name for row in rows for name in row] for rows in (found, expected))
-    words = "expected a different id for each Representation"
-    expect(len(set(got)) == len(got), MPD_NAME, words, "bad_mpd")
-    for name in sorted(set(got) ^ set(wanted)):
-        raise FormatError("mpd_mismatch", f"{MPD_NAME} {name}", "is not in both the MPD and the tables")
-    words = "expected an AdaptationSet for the delta, for each keyframe tier and for the sound"
-    fits = {frozenset(row) for row in found if row} == {frozenset(row) for row in expected}
-    expect(fits, MPD_NAME, words, "mpd_mismatch")
-
-
-def _check_kind(row: ET.Element, rows: list[ET.Element]) -> None:
-    expected = _kind_of(any(r.get("id") == SOUND for r in rows))
-    got = {name: row.get(name) for name in expected}
-    expect(got == expected, f"{MPD_NAME} AdaptationSet", f"expected {expected}, got {got}", "mpd_mismatch")
-    for r in rows:
-        where = f"{MPD_NAME} {r.get('id')}"
-        expect(_whole(r.get("bandwidth"), where), where, "expected a bandwidth above 0, got 0", "bad_mpd")
-
-
-def _read(row: ET.Element, element: ET.Element, m: Manifest, name: str) -> Representation:
-    """A Representation with what it has from its AdaptationSet `row`: players disagree on what two templates mean."""
-    where, tag = f"{MPD_NAME} {name}", f"{{{DASH}}}SegmentTemplate"
-    found = [*row.findall(tag), *element.findall(tag)]
+def _read_representation(adaptation_set: ET.Element, element: ET.Element, m: Manifest) -> Representation:
+    """Return a Representation with what it has from its AdaptationSet, where one template has to stand in the two."""
+    found = [template for parent in (adaptation_set, element) for template in parent.findall("SegmentTemplate")]
+    where = f"{MPD_NAME} {(name := element.get('id', ''))}"
     expect(len(found) == 1, where, f"expected one SegmentTemplate, got {len(found)}", "bad_mpd")
     (template,) = found
     expect(len(template) == 1, where, f"expected one SegmentTimeline, got {len(template)}", "bad_mpd")
-    init, media = (template.get(which, "").replace(ID, name) for which in ("initialization", "media"))
+    expect(_whole(element.get("bandwidth"), where), where, "expected a bandwidth above 0, got 0", "bad_mpd")
     ticks = _whole(template.get("timescale"), where)
-    expect(ticks == m.timescale, where, f"expected timescale {m.timescale}", "mpd_mismatch")
+    expect(ticks == m.timescale, where, f"expected timescale {m.timescale}, got {ticks}", "mpd_mismatch")
+    init, media = (template.get(which, "").replace(ID, name) for which in ("initialization", "media"))
     out, end, number = Representation(name, media, init=init), 0, _whole(template.get("startNumber", "1"), where)
-    for s in template.iter(f"{{{DASH}}}S"):
+    for s in template.iter("S"):
         start, duration, repeats = (_whole(a, where) for a in (s.get("t", str(end)), s.get("d"), s.get("r", "0")))
         number = _whole(s.get("n", str(number)), where)
         out.append(Run(number, start, duration, 1 + repeats))
@@ -407,7 +378,7 @@ def check_shared(package: Package, path: str) -> None:
 
 
 def _inits(m: Manifest) -> list[bytes]:
-    """What init.mp4 may be: it is made for the largest picture of the groups that were there when it was written."""
+    """Return what init.mp4 may be: it is made for the largest picture of the groups at the time when it is written."""
     sizes = accumulate((largest_picture([g]) for g in m.groups), lambda a, b: (max(a[0], b[0]), max(a[1], b[1])))
     return [mp4.init_segment(m.timescale, *size) for size in dict.fromkeys(sizes)]
 

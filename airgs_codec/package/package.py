@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
@@ -41,7 +41,7 @@ class Package:
 
     @property
     def origin(self) -> Origin:
-        """Where positions of Gaussians and cameras are from, in the world of the scene that was encoded."""
+        """What to add to positions of Gaussians and cameras for those of the scene that was encoded."""
         x, y, z = self.manifest.origin or ZERO
         return x, y, z
 
@@ -62,10 +62,10 @@ class Package:
         return f"Package({self.files.name}: {m.frames} frames at {float(m.fps):g} a second, {rungs})"
 
     def read(self, relative: str) -> bytes:
-        """A file that the tables list, whole and unaltered.
+        """Read a file that the tables list, whole and unaltered.
 
         Raises FormatError: missing_entry, missing_file, unsafe_path (a link), size_mismatch, hash_mismatch, and what
-        is wrong with the table of the group that it belongs to.
+        reading the table of its group raises.
         """
         return read_file(self.files, relative, self.manifest.entry(relative))
 
@@ -103,7 +103,6 @@ def is_unpacked(relative: str, data: bytes) -> bool:
 
 
 def repr_digest(data: bytes) -> str:
-    """The value of the header REPR_DIGEST for an answer with these bytes."""
     return f"sha-256=:{base64.b64encode(hashlib.sha256(data).digest()).decode()}:"
 
 
@@ -114,9 +113,9 @@ def check_repr_digest(where: str, data: bytes, header: str) -> None:
 
 
 def open_manifest(root: Root, read: Read) -> Manifest:
-    """The tables of a package whose airgs.json is read; `read` gets pages and tables of groups when they are needed."""
+    """Return the tables of a package with this root; `read` gets pages and tables of groups when they are needed."""
     groups = Groups(root.index, partial(_read_page, read), partial(_read_group, read, root))
-    return Manifest(**_shared(root), groups=groups)
+    return Manifest(**header_of(root), groups=groups)
 
 
 def _read_page(read: Read, path: str, entry: Entry) -> Spans:
@@ -133,17 +132,12 @@ def _read_table(read: Read, path: str, file: FileEntry) -> bytes:
     return read(path, file)
 
 
+def header_of(one: Header) -> dict[str, Any]:
+    return {field.name: getattr(one, field.name) for field in fields(Header)}
+
+
 def root_of(m: Manifest) -> Root:
-    return Root(**_shared(m), index=m.groups.columns)
-
-
-def manifest_of(root: Root, groups: Sequence[Group]) -> Manifest:
-    """The tables of a package whose groups' tables are in memory; the index in `root` is made anew."""
-    return Manifest(**_shared(root), groups=Groups.of(groups))
-
-
-def _shared(one: Root | Manifest) -> dict[str, Any]:
-    return {field.name: getattr(one, field.name) for field in fields(Header)} | {"init": one.init}
+    return Root(**header_of(m), index=m.groups.columns)
 
 
 def open_package(path: str | Path) -> Package:
@@ -158,7 +152,7 @@ def open_package(path: str | Path) -> Package:
 
 
 def folder_of(address: str) -> str:
-    """The folder of a package from its address, or that of one of its roots; a query stays."""
+    """Return the folder of a package from its address, or that of one of its roots, with the query."""
     before, query = split_query(address)
     folder, _, last = before.rpartition("/")
     return (folder if last in ROOTS else before) + query
@@ -191,7 +185,7 @@ def _open_root(files: Place, relative: str) -> tuple[int, Callable[[], bytes]]:
 
 
 def find_faults(package: Package) -> dict[str, FormatError]:
-    """Files that cannot be used, each with the reason why `Package.read` refuses it; DASH's own are not read."""
+    """Return the files that cannot be used, each with the error of `Package.read`; DASH's own are not read."""
     faults: dict[str, FormatError] = {}
     m = package.manifest
     for number in m.groups.places.sweep():

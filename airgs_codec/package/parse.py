@@ -24,42 +24,34 @@ import numpy as np
 from airgs_codec.errors import FormatError, SceneError
 from airgs_codec.package import tables
 from airgs_codec.package.layout import DELTA, JSON_NAME, Layout, group_path, keyframe_layout
-from airgs_codec.package.tables import Atlas, Entry, FileEntry, Group, Header, Region, Root, Segment, Spans
+from airgs_codec.package.tables import Atlas, Entry, FileEntry, Group, Header, Region, Root, Spans
 from airgs_codec.places.place import got_words
 
 MAX_TABLE_BYTES = 1 << 24  # of JSON: what it may cost is known before it is read
 MAX_VALUES = 1 << 21  # commas and opening brackets: a value follows each
-_GZIP = 31  # zlib's window bits: the largest window, in a gzip wrapper
 LEAST_SCALE, MOST_SCALE = 1e-6, 1e6  # of a transform to the world
 MOST_NUMBER = 1e30  # of such a transform, as of all coordinates in tables
-TOLERANCE = 1e-5  # of the products of its axes at length 1, and of the scale, beside its bounds
-Bound = tuple[str, float, float, float]  # where, what came, the least and the most that may stand there
+TOLERANCE = 1e-5  # of the products of its axes at length 1, and of the bounds of its scale
+Bound = tuple[str, float, float, float]  # where, what came, the least and the most that may come
 
 Table = typing.TypeVar("Table")
 
 
 def parse_root(text: bytes) -> Root:
-    """The value of an airgs.json. Raises FormatError whose `where` names the place.
+    """Read airgs.json. Raises FormatError whose `where` names the place.
 
     Reasons: not_json, unknown_version, unknown_field, missing_field, wrong_type, bad_value, missing_entry.
     """
-    data = _load(text, JSON_NAME)
-    if not isinstance(data, dict):
-        raise FormatError("wrong_type", JSON_NAME, f"expected an object, got {type(data).__name__}")
-    if data.get("version") != tables.VERSION:
-        raise FormatError(
-            "unknown_version", JSON_NAME, f"expected version {tables.VERSION}, got {data.get('version')!r}"
-        )
+    data = _typed(dict, _load(text, JSON_NAME), JSON_NAME)
+    if (version := data.get("version")) != tables.VERSION:
+        raise FormatError("unknown_version", JSON_NAME, f"expected version {tables.VERSION}, got {version!r}")
     root: Root = _parse(Root, data, JSON_NAME)
     check_root(root)
     return root
 
 
 def parse_page(text: bytes, entry: Entry, where: str) -> Spans:
-    """The page of the index with the path `where`, of which the level above says `entry`.
-
-    Raises FormatError as `parse_root` does.
-    """
+    """Read the page `where` of the index, of which the level above says `entry`; raises as `parse_root` does."""
     page: Spans = _parse(Spans, _load(text, where), where)
     _check_columns(where, page)
     got = len(page), sum(page.frames), sum(page.segments)
@@ -69,10 +61,7 @@ def parse_page(text: bytes, entry: Entry, where: str) -> Spans:
 
 
 def parse_group(data: bytes, header: Header, entry: Entry, number: int) -> Group:
-    """The table of a group, counted from 0, of which the index says `entry`.
-
-    Raises FormatError as `parse_root` does, and too_large.
-    """
+    """Read the table of a group, counted from 0, of which the index says `entry`; raises as `parse_root` does."""
     where = group_path(number + 1)
     group: Group = _parse(Group, _load(inflate(data, where), where), where)
     check_group(header, entry, group, where)
@@ -82,10 +71,7 @@ def parse_group(data: bytes, header: Header, entry: Entry, number: int) -> Group
 
 
 def read_region(path: Path) -> Region:
-    """A viewing region from a JSON file, as `region` in airgs.json has it.
-
-    Raises SceneError for a file that cannot be read, FormatError for one that is no region.
-    """
+    """Read a viewing region from a JSON file, as `region` in airgs.json has it. Raises SceneError, FormatError."""
     try:
         text = path.read_bytes()
     except OSError as error:
@@ -111,19 +97,18 @@ def pack_json(table: Root | Spans | Group | Region) -> bytes:
 
 
 def as_plain(table: Any) -> dict[str, Any]:
-    """The fields of a dataclass, which JSON knows nothing of. `dataclasses.asdict` would copy every list of numbers."""
+    """Return the fields of a dataclass that are not None; `dataclasses.asdict` would copy every list of numbers."""
     values = ((field.name, getattr(table, field.name)) for field in dataclasses.fields(table))
     return {name: value for name, value in values if value is not None}
 
 
 def pack_group(group: Group) -> bytes:
-    """The bytes of group/{n}.json.gz, the same for the same table."""
     return gzip.compress(pack_json(group), 9, mtime=0)
 
 
 def inflate(data: bytes, where: str) -> bytes:
-    """The text of a group's table. Raises FormatError: not_json where it is not one gzip member, too_large."""
-    inflater = zlib.decompressobj(_GZIP)
+    """Unpack a group's table. Raises FormatError: not_json where it is not one gzip member, too_large."""
+    inflater = zlib.decompressobj(31)  # window bits: the largest window, in a gzip wrapper
     try:
         text = inflater.decompress(data, MAX_TABLE_BYTES + 1)
     except zlib.error as error:
@@ -150,20 +135,27 @@ def _refuse_constant(name: str) -> float:
 
 
 def _parse(kind: Any, data: Any, where: str) -> Any:
-    """`data` as a value of the annotated type `kind`."""
+    """Read `data` as a value of the annotated type `kind`."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is Annotated:
         value = _parse(arguments[0], data, where)
         for constraint in arguments[1:]:
-            _check_constraint(constraint, value, where)
+            match constraint:
+                case tables.Range(low, high):
+                    expect(low <= value <= high, where, f"expected {low} to {high}, got {value}")
+                case tables.Length(low, high):
+                    expect(low <= len(value) <= high, where, f"expected {low} to {high} values, got {len(value)}")
+                case tables.OneOf(words):
+                    expect(value in words, where, f"expected one of {', '.join(words)}, got {value!r}")
+                case tables.Pattern(expression, what):
+                    expect(re.fullmatch(expression, value), where, f"expected {what}, got {value!r}")
         return value
     if origin is list:
         return [_parse(arguments[0], d, f"{where}[{i}]") for i, d in enumerate(_typed(list, data, where))]
     if origin is tuple:
         data = _typed(list, data, where)
         kinds = arguments[:1] * len(data) if arguments[-1] is ... else arguments
-        if len(data) != len(kinds):
-            raise FormatError("bad_value", where, f"expected {len(kinds)} values, got {len(data)}")
+        expect(len(data) == len(kinds), where, f"expected {len(kinds)} values, got {len(data)}")
         return tuple(_parse(kind, d, f"{where}[{i}]") for i, (kind, d) in enumerate(zip(kinds, data, strict=True)))
     if origin is dict:
         name, item = arguments
@@ -172,26 +164,17 @@ def _parse(kind: Any, data: Any, where: str) -> Any:
     if dataclasses.is_dataclass(kind):
         return _parse_dataclass(kind, _typed(dict, data, where), where)
     if kind is float:
-        return _parse_float(data, where)
+        try:
+            number = float(data if type(data) is int else _typed(float, data, where))
+        except OverflowError:  # an integer of hundreds of digits
+            number = math.inf
+        expect(math.isfinite(number), where, "expected a finite number")
+        return number
     if kind is int and isinstance(data, float) and data.is_integer():
         return int(data)  # 4.0, which is 4 in JSON Schema and in browsers
     if kind is str and (half := re.search("[\ud800-\udfff]", _typed(str, data, where))):  # JSON gave it as \ud800
-        raise FormatError("bad_value", where, f"expected text, got {half[0]!r} alone")
+        raise FormatError("bad_value", where, f"expected text, got half a character, {half[0]!r}")
     return _typed(kind, data, where)
-
-
-def _check_constraint(
-    constraint: tables.Range | tables.Length | tables.OneOf | tables.Pattern, value: Any, where: str
-) -> None:
-    match constraint:
-        case tables.Range(low, high):
-            expect(low <= value <= high, where, f"expected {low} to {high}, got {value}")
-        case tables.Length(low, high):
-            expect(low <= len(value) <= high, where, f"expected {low} to {high} values, got {len(value)}")
-        case tables.OneOf(words):
-            expect(value in words, where, f"expected one of {', '.join(words)}, got {value!r}")
-        case tables.Pattern(expression, what):
-            expect(re.fullmatch(expression, value), where, f"expected {what}, got {value!r}")
 
 
 def _parse_dataclass(kind: Any, data: dict[str, Any], where: str) -> Any:
@@ -212,20 +195,11 @@ def _fields(kind: Any) -> tuple[dict[str, Any], frozenset[str]]:
 
 
 def as_required(hint: Any) -> Any:
-    """T for the type T | None of a field that may be missing; any other type as it is."""
+    """Return T for the type T | None of a field that may be missing; any other type as it is."""
     if typing.get_origin(hint) not in (types.UnionType, typing.Union):
         return hint
     (kind,) = (argument for argument in typing.get_args(hint) if argument is not type(None))
     return kind
-
-
-def _parse_float(data: Any, where: str) -> float:
-    try:
-        number = float(data if type(data) is int else _typed(float, data, where))
-    except OverflowError:  # an integer of hundreds of digits
-        number = math.inf
-    expect(math.isfinite(number), where, "expected a finite number")
-    return number
 
 
 def _typed(kind: type, data: Any, where: str) -> Any:
@@ -243,7 +217,8 @@ def expect(fits: object, where: str, detail: str, reason: str = "bad_value") -> 
 
 def _check_bounds(where: str, bounds: Iterable[Bound]) -> None:
     for name, value, low, high in bounds:
-        expect(low <= value <= high, f"{where}.{name}", f"expected {low} to {high}, got {value}")
+        expected = f"{low}" if low == high else f"{low} to {high}"
+        expect(low <= value <= high, f"{where}.{name}", f"expected {expected}, got {value}")
 
 
 def check_root(m: Root) -> None:
@@ -272,8 +247,6 @@ def check_group(m: Header, entry: Entry, group: Group, where: str) -> None:
     """Raise FormatError (bad_value, missing_entry) unless the table of a group fits the package and itself."""
     got, expected = (group.start, group.stop, len(group.segments)), (entry.start, entry.stop, entry.segments)
     expect(got == expected, where, f"expected the start, stop and number of segments {expected}, got {got}")
-    for name, length, wanted in _shapes(m, group):
-        expect(length == wanted, f"{where}.{name}", f"expected {wanted}, got {length}")
     _check_bounds(where, _group_bounds(m, group))
     words = "expected an entry where, and only where, airgs.json has sound"
     expect((group.sound is None) == (m.sound is None), f"{where}.sound", words)
@@ -283,33 +256,39 @@ def check_group(m: Header, entry: Entry, group: Group, where: str) -> None:
         _check_file(f"{where}.tiers[{t}].sidecar", tier.sidecar, tier.count > 0)
         for q, picture in enumerate(tier.pictures):
             _check_file(f"{where}.tiers[{t}].pictures[{q}]", picture, tier.qualities[q].rows > 0)
-    stop = group.start
+    stop, measured = group.start, len(m.qualities) if m.measured else 0
     for s, segment in enumerate(group.segments):
-        fits, here = segment.start == stop < segment.stop <= group.stop, f"{where}.segments[{s}]"
-        expect(fits, here, f"expected a start at {stop}, got [{segment.start}, {segment.stop})")
+        fits = segment.start == stop < segment.stop <= group.stop
+        expect(fits, f"{where}.segments[{s}]", f"expected a start at {stop}, got [{segment.start}, {segment.stop})")
         stop = segment.stop
-        _check_segment(m, group, segment, here)
+        for j, level in enumerate(segment.levels):
+            here, fetched = f"{where}.segments[{s}].levels[{j}]", level.file.bytes > 0
+            _check_file(f"{here}.file", level.file, fetched and bool(group.levels[j].planes))
+            frames, sent = segment.stop - segment.start if fetched else 0, len(level.frame_bytes)
+            bounds = ("frame_bytes", sent, frames, frames), ("line", sent, 2 if level.slopes else 0, sent)
+            lengths = [(name, len(getattr(level, name)), measured, measured) for name in ("psnr", "delta_e")]
+            _check_bounds(here, [*bounds, *lengths])
     expect(stop == group.stop, f"{where}.segments", f"end at {stop}, the group at {group.stop}")
 
 
 def check_base(group: Group, base: Group, where: str) -> None:
-    """Raise FormatError (bad_value) unless `base`, the base of a group, has none itself and equal tiers and grid."""
+    """Raise FormatError (bad_value) unless the base of a group has no base itself and an equal layout."""
     words = f"expected a base without a base, got {group.base}, whose base is {base.base}"
     expect(base.base is None, f"{where}.base", words)
-    alike = [
+    one, other = (
         (g.grid, g.keyframe_steps, g.colour_transform, [(tier.count, tier.factor) for tier in g.tiers])
         for g in (group, base)
-    ]
+    )
     words = f"expected a group of equal tiers, grid, keyframe_steps and colours, got {group.base}"
-    expect(alike[0] == alike[1], f"{where}.base", words)
+    expect(one == other, f"{where}.base", words)
 
 
 def _check_region(region: Region, where: str) -> None:
-    """Every place has a direction to look in and one that is up."""
+    """Refuse a place without a direction to look in or one that is up."""
     for p, place in enumerate(region.places):
-        for name, other in (("focus", place.position), ("up", [0.0, 0.0, 0.0])):
-            apart = np.linalg.norm(np.subtract(got := getattr(place, name), other)) != 0
-            expect(apart, f"{where}.places[{p}].{name}", f"expected other than {other}, got {got}")
+        for name, got, other in (("focus", place.focus, place.position), ("up", place.up, [0.0, 0.0, 0.0])):
+            differs = np.linalg.norm(np.subtract(got, other)) != 0
+            expect(differs, f"{where}.places[{p}].{name}", f"expected other than {other}, got {got}")
 
 
 def fault_of(transform: Sequence[float]) -> str | None:
@@ -334,7 +313,6 @@ def _check_columns(where: str, spans: Spans) -> None:
 
 
 def _check_index(where: str, m: Root) -> None:
-    """What fills no page, level by level, with no empty level at the end; the groups have all frames."""
     for level, spans in enumerate(m.index):
         here, fewest = f"{where}[{level}]", tables.PAGE**level
         _check_columns(here, spans)
@@ -348,22 +326,16 @@ def _check_index(where: str, m: Root) -> None:
 
 
 def _check_file(where: str, entry: FileEntry, wanted: bool) -> None:
-    """A file is there where one is wanted, and only there; a length and a digest come together."""
     expect(wanted or not entry.bytes, where, "expected no file: nothing is to be fetched")
-    if wanted and not entry.bytes:
-        raise FormatError("missing_entry", where, "expected a file")
+    expect(entry.bytes or not wanted, where, "expected a file", "missing_entry")
     words = f"expected both a length and a digest or neither, got {entry.bytes} and {entry.sha256!r}"
     expect(bool(entry.bytes) == bool(entry.sha256), where, words)
 
 
 def _root_bounds(m: Header) -> Iterator[Bound]:
     for q, quality in enumerate(m.qualities):
-        yield (
-            f"qualities[{q}].coarser",
-            quality.coarser,
-            m.qualities[q - 1].coarser if q else 0,
-            tables.GRID_BITS if q else 0,
-        )
+        least, most = (m.qualities[q - 1].coarser, tables.GRID_BITS) if q else (0, 0)
+        yield f"qualities[{q}].coarser", quality.coarser, least, most
     finest, most = 0, m.tiers  # every tier is some level's: the first level has all of them
     for j, level in enumerate(m.levels):
         yield f"levels[{j}].tiers", level.tiers, 1 if j else most, most
@@ -371,18 +343,15 @@ def _root_bounds(m: Header) -> Iterator[Bound]:
         most, finest = level.tiers, level.quality
 
 
-def _shapes(m: Header, group: Group) -> Iterator[tuple[str, int, int]]:
-    yield "tiers", len(group.tiers), m.tiers
-    yield "levels", len(group.levels), len(m.levels)
-    for t, tier in enumerate(group.tiers):
-        yield f"tiers[{t}].qualities", len(tier.qualities), len(m.qualities)
-        yield f"tiers[{t}].pictures", len(tier.pictures), len(m.qualities)
-    for s, segment in enumerate(group.segments):
-        yield f"segments[{s}].levels", len(segment.levels), len(m.levels)
-
-
 def _group_bounds(m: Header, group: Group) -> Iterator[Bound]:
-    fewest = m.levels[-1].tiers
+    fewest, qualities, levels = m.levels[-1].tiers, len(m.qualities), len(m.levels)
+    yield "tiers", len(group.tiers), m.tiers, m.tiers
+    yield "levels", len(group.levels), levels, levels
+    for t, tier in enumerate(group.tiers):
+        yield f"tiers[{t}].qualities", len(tier.qualities), qualities, qualities
+        yield f"tiers[{t}].pictures", len(tier.pictures), qualities, qualities
+    for s, segment in enumerate(group.segments):
+        yield f"segments[{s}].levels", len(segment.levels), levels, levels
     yield "static", group.static, 0, group.count
     yield "sum of tier counts", sum(tier.count for tier in group.tiers), group.count, group.count
     first = sum(tier.count for tier in group.tiers[:fewest])
@@ -417,18 +386,3 @@ def _atlas_bounds(where: str, atlas: Atlas, layout: Layout, colours: int) -> Ite
         yield f"{where} macroblocks", atlas.width * atlas.height // tables.BLOCK**2, 1, tables.MAX_MACROBLOCKS
         yield f"{where} width of the planes", atlas.size[0], tables.BLOCK, atlas.width
         yield f"{where} pages", atlas.pages, 1, tables.MAX_PAGES
-
-
-def _check_segment(m: Header, group: Group, segment: Segment, where: str) -> None:
-    """A segment says as much of each level as there is to say."""
-    measured = len(m.qualities) if m.measured else 0
-    for j, level in enumerate(segment.levels):
-        here, fetched = f"{where}.levels[{j}]", level.file.bytes > 0
-        _check_file(f"{here}.file", level.file, fetched and bool(group.levels[j].planes))
-        wanted = {"frame_bytes": segment.stop - segment.start if fetched else 0}
-        wanted |= dict.fromkeys(("psnr", "delta_e"), measured)
-        for name, expected in wanted.items():
-            got = len(getattr(level, name))
-            expect(got == expected, f"{here}.{name}", f"expected {expected} values, got {got}")
-        frames = len(level.frame_bytes)
-        expect(not level.slopes or frames > 1, f"{here}.slopes", f"expected at least 2 frames, got {frames}")

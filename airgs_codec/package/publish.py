@@ -3,11 +3,10 @@
 Each file is written whole or not at all, and nothing that airgs.json leads to is ever written twice; so a reader finds
 a whole package whenever it looks, also while groups are added.
 
-A finished folder takes the place of another. In a bucket, objects are put whole, but one by one: no two packages can be
-swapped. One that takes the place of another is therefore uploaded below `NEW` first, airgs.json last; from then on it
-is whole, and is copied to its place inside the store. While that goes on, readers find files of both, which the digests
-in the tables tell apart. A run that is cut off before airgs.json is below `NEW` has changed nothing, and the next run
-removes what it left; one that is cut off later is finished by the next run.
+A finished folder takes the place of another. In a bucket, objects are put whole, but one by one. A package that takes
+the place of another is therefore uploaded below `NEW` first, airgs.json last; from then on it is whole, and is copied
+to its place inside the store. While that goes on, readers find files of both, which digests distinguish. A run that
+is cut off before that has changed nothing, and the next one removes what it left; one cut off later is finished by it.
 """
 
 from __future__ import annotations
@@ -35,20 +34,24 @@ from airgs_codec.package.tables import Place as ViewPlace
 from airgs_codec.places.place import PARALLEL, Bucket, Folder, Place, place_at
 from airgs_codec.places.whole import finished_path, staged_folder, written_alone
 
-NEW = ".new/"  # a package below it takes the place of the one that is there
+NEW = ".new/"  # a package below it takes the place of the existing one
 
 
 def write_tables(files: Place, m: Manifest, clock: LiveClock | None = None) -> int:
-    """Write all tables, manifest.mpd and still files of a package whose other files are there; gives the length of
-    tables and manifest.mpd together.
+    """Write all tables, manifest.mpd and still files of a package whose other files are written already.
 
-    Raises ConfigError for a growing package without a clock, FormatError for tables that no reader takes.
+    Returns the length of tables and manifest.mpd together. Raises ConfigError for a growing package without a clock,
+    FormatError for tables that no reader takes.
     """
     tables = [pack_group(group) for group in m.groups]
     _, pages = build_index(m.groups, tables)
     texts = {group_path(number): table for number, table in enumerate(tables, 1)}
     texts |= {path: pack_json(page) for path, page in pages.items()}
-    check_tables(open_manifest(root_of(m), lambda path, _: texts[path]))
+    checked = open_manifest(root_of(m), lambda path, _: texts[path])
+    for number in checked.groups.places.sweep():
+        if isinstance(number, FormatError):
+            raise number
+        checked.base_of(number)
     size = sum(write_file(files, path, text).bytes for path, text in texts.items())
     for path, data in still_files(m):
         write_file(files, path, data)
@@ -56,7 +59,7 @@ def write_tables(files: Place, m: Manifest, clock: LiveClock | None = None) -> i
 
 
 def write_root(files: Place, m: Manifest, clock: LiveClock | None = None, streams: Streams | None = None) -> int:
-    """Write manifest.mpd and airgs.json of a package whose tables are there; gives their length together.
+    """Write manifest.mpd and airgs.json of a package whose tables are written; return their length together.
 
     `streams` as in `write_mpd`. Raises FormatError for what no reader takes; then nothing is written.
     """
@@ -66,37 +69,24 @@ def write_root(files: Place, m: Manifest, clock: LiveClock | None = None, stream
     return write_file(files, MPD_NAME, mpd).bytes + write_file(files, JSON_NAME, root).bytes
 
 
-def check_tables(m: Manifest) -> None:
-    """Raise FormatError unless every page and every table of a group can be read and fits the others."""
-    for number in m.groups.places.sweep():
-        if isinstance(number, FormatError):
-            raise number
-        m.base_of(number)
-
-
 class GrowingPackage:
-    """A package to which groups are added, until it is closed.
-
-    Only the newest table is in memory, and what the MPD says of the others: they are read again where they are wanted.
-    """
+    """A package to which groups are added, until it is closed; only the newest table stays in memory."""
 
     def __init__(self, files: Place, m: Manifest, available: datetime) -> None:
-        """`m`: the tables of the package so far, which are written; `available`: when its first frame was there."""
+        """`m`: the tables of the package so far, which are written; `available`: the time of its first frame."""
         self.files = files
-        self._unwritten: dict[str, bytes] = {}  # tables that `expect` tells of
-        self._streams = Streams.of(m)
-        self._available = available
+        self._unwritten: dict[str, bytes] = {}  # tables of the group that `expect` was called with
+        self._streams, self._available = Streams.of(m), available
         self.manifest = open_manifest(root_of(m), self._read)
         self.manifest.groups.keep(len(m.groups) - 1, m.groups[-1])
 
     def expect(self, group: Group, rungs: Rungs | None = None) -> Manifest:
-        """The tables with one more group, whose files are written, but not its table; until the next call or `add`."""
+        """Return the tables with one more group, whose files are written; valid until the next call or `add`."""
         table, number = pack_group(group), len(self.manifest.groups)
         index, pages = extend_index(self.manifest.groups.columns, number, group, table)
         self._unwritten = {group_path(number + 1): table} | {path: pack_json(page) for path, page in pages.items()}
-        known = self.manifest.rungs if rungs is None else rungs
-        root = replace(root_of(self.manifest), frames=group.stop, index=index, rungs=known)
-        found = open_manifest(root, self._read)
+        root = replace(root_of(self.manifest), frames=group.stop, index=index)
+        found = open_manifest(root if rungs is None else replace(root, rungs=rungs), self._read)
         found.groups.keep(number, group)
         return found
 
@@ -104,30 +94,29 @@ class GrowingPackage:
         """Publish one more group, whose files are written. Raises FormatError for a table that no reader takes."""
         expected, number = self.expect(group, rungs), len(self.manifest.groups)
         open_manifest(root_of(expected), self._read).base_of(number)
-        self.manifest = expected
         for path, data in (self._unwritten | self._streams.add(group)).items():
             write_file(self.files, path, data)
         self._unwritten = {}
-        self._write_root()
+        self._publish(expected)
 
     def close(self) -> None:
-        self.manifest = replace(self.manifest, live=False)
-        self._write_root()
+        self._publish(replace(self.manifest, live=False))
 
     def _read(self, path: str, entry: FileEntry) -> bytes:
         return self._unwritten[path] if path in self._unwritten else read_file(self.files, path, entry)
 
-    def _write_root(self) -> None:
-        write_root(self.files, self.manifest, LiveClock(self._available, datetime.now(UTC)), self._streams)
+    def _publish(self, m: Manifest) -> None:
+        self.manifest = m
+        write_root(self.files, m, LiveClock(self._available, datetime.now(UTC)), self._streams)
 
 
 def staged_package(place: Place) -> AbstractContextManager[Path]:
-    """Give an empty folder of this machine; what the block leaves in it is the package at `place` when the block ends.
+    """Yield an empty folder of this machine; what the block leaves in it is the package at `place` when the block ends.
 
     Nothing changes when the block ends with an error. What runs that were cut off left is put right first. Only one run
     may write to a bucket at a time.
 
-    Raises ConfigError where there is something else than a package, OSError (TransportError).
+    Raises ConfigError where something else than a package is at the place, OSError (TransportError).
     """
     if isinstance(place, Bucket):
         return _staged_in_bucket(place)
@@ -146,7 +135,7 @@ def _is_package(folder: Path) -> bool:
 
 @contextmanager
 def _staged_in_bucket(bucket: Bucket) -> Iterator[Path]:
-    """Before the block, that objects can be put, copied and deleted is tried."""
+    """Try before the block that objects can be put, copied and deleted."""
     _put_right(bucket)
     one, other = NEW + MPD_NAME, NEW + INIT_NAME
     write_file(bucket, one, b"airgs")
@@ -158,14 +147,13 @@ def _staged_in_bucket(bucket: Bucket) -> Iterator[Path]:
 
 
 def _put_right(bucket: Bucket) -> None:
-    there = bucket.paths()
-    foreign = [name for name in there if not belongs(name.removeprefix(NEW))]
-    if foreign:
-        raise ConfigError(f"{bucket.name}: expected a new prefix or an existing package, got {foreign[0]} there")
-    if NEW + JSON_NAME in there:
+    found = bucket.paths()
+    for foreign in (name for name in found if not belongs(name.removeprefix(NEW))):
+        raise ConfigError(f"{bucket.name}: expected a new prefix or an existing package, found {foreign}")
+    if NEW + JSON_NAME in found:
         _take_place(bucket)
     else:
-        bucket.delete(name for name in there if name.startswith(NEW))
+        bucket.delete(name for name in found if name.startswith(NEW))
 
 
 def _upload(folder: Folder, bucket: Bucket) -> None:
@@ -185,26 +173,25 @@ def _upload(folder: Folder, bucket: Bucket) -> None:
 
 def _take_place(bucket: Bucket) -> None:
     """Copy the package below `NEW` to its place; what is left of the old one goes. May be repeated at any time."""
-    there = bucket.paths()
-    names = [name.removeprefix(NEW) for name in there if name.startswith(NEW)]
+    found = bucket.paths()
+    names = [name.removeprefix(NEW) for name in found if name.startswith(NEW)]
     try:
         _for_each(names, lambda name: bucket.copy(NEW + name, name))
     except TransportError as error:
-        rest = f"the new package is whole below {NEW}, and the next run that writes here puts it in its place"
-        raise TransportError(f"{error}; {rest}") from error
-    bucket.delete(name for name in there if name not in names and not name.startswith(NEW))
+        words = f"the new package is whole below {NEW}, and the next run that writes here puts it in its place"
+        raise TransportError(f"{error}; {words}") from error
+    bucket.delete(name for name in found if name not in names and not name.startswith(NEW))
     bucket.delete([NEW + JSON_NAME])  # first: without it, what is below `NEW` is no package
     bucket.delete(NEW + name for name in names if name != JSON_NAME)
 
 
 def _for_each(names: Iterable[str], work: Callable[[str], object]) -> None:
     """Work on the files of a package: on many at a time, on manifest.mpd after them, on airgs.json last."""
-    last = (MPD_NAME, JSON_NAME)
+    roots = [name for name in (MPD_NAME, JSON_NAME) if name in names]
     with ThreadPoolExecutor(PARALLEL) as pool:
-        list(pool.map(work, [name for name in names if name not in last]))
-    for name in last:
-        if name in names:
-            work(name)
+        list(pool.map(work, [name for name in names if name not in roots]))
+    for name in roots:
+        work(name)
 
 
 def set_view(

@@ -1,10 +1,9 @@
-"""Where a package may be looked at from, which way is up there, and how long a unit is.
+"""Where a package may be looked at from, which way is up, and how long a unit is.
 
-A region is a union of balls, one about each of P places, with a direction to look in at each of them (`tables.Region`).
-Cameras are as OpenCV has them; positions are in the scene's own coordinates, and so are its Gaussians. Its `World`
-tells players where it stands in a right-handed world with y up, as that of glTF: p in the scene is at A p + b there,
-with A a rotation times a scale and (A | b) the three rows of the transform. That alone says which way is up (the second
-row) and how long a unit is (the scale).
+A region is a union of balls, one about each of P places, with a direction to look in at each (`tables.Region`). Cameras
+are as OpenCV has them; positions are in the scene's own coordinates. Its `World` tells players where it stands in a
+right-handed world with y up: p in the scene is at A p + b there, with A a rotation times a scale and (A | b) the three
+rows of the transform. The second row says which way is up, the scale how long a unit is.
 """
 
 from __future__ import annotations
@@ -12,8 +11,9 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,7 +46,7 @@ def first_views(region: Region, world: World | None) -> tuple[Camera, ...]:
 
 
 def levelled(region: Region, world: World | None) -> Region:
-    """The region of a package as players take it: where the package tells which way is up, so it is at every place."""
+    """Return the region of a package as players take it: with the up of its world at every place."""
     if world is None:
         return region
     up = up_of(world).tolist()
@@ -54,10 +54,9 @@ def levelled(region: Region, world: World | None) -> Region:
 
 
 def upright(region: Region) -> Vector:
-    """(3,) where up is for all of a region, of length 1.
+    """Return (3,) up for all of a region, of length 1: the mean of its places' (of the first, where they do not agree).
 
-    It is the mean of its places' (where they do not agree, that of the first), levelled: the sides of pictures are at
-    right angles to it.
+    It is levelled: the sides of pictures are at right angles to it.
     """
     ups = np.array([place.up for place in region.places])
     ups /= np.linalg.norm(ups, axis=1, keepdims=True)
@@ -79,9 +78,7 @@ def view_from(region: Region, position: Vector, target: Vector, up: Vector, name
 
 
 def background_of(region: Region) -> Background:
-    if region.background is None:
-        return BLACK
-    r, g, b = region.background
+    r, g, b = region.background or BLACK
     return r, g, b
 
 
@@ -90,7 +87,6 @@ def before_background(region: Region, cameras: Sequence[Camera]) -> list[Camera]
 
 
 def with_background(region: Region, background: Background) -> Region:
-    """The region before a colour, which stands in it unless it is black."""
     return replace(region, background=None if background == BLACK else list(background))
 
 
@@ -101,7 +97,7 @@ def from_origin(region: Region, origin: ArrayLike) -> Region:
 
 
 def draw_views(region: Region, count: int, seed: int) -> list[Camera]:
-    """`count` views drawn from a region, the same ones for the same seed.
+    """Draw `count` views from a region, the same ones for the same seed.
 
     Places take turns in random order. About each, the distance to the place is drawn evenly between 0 and its reach,
     the direction to it evenly over the sphere, and the view axis evenly over the disk of directions that are at most
@@ -125,58 +121,37 @@ def _draw(region: Region, place: Place, rng: np.random.Generator, name: str) -> 
     return view_from(region, position, target, np.array(place.up), name)
 
 
-ORBIT = "orbit"  # the source of a region that is a guess
-GUESSED = ("found", ORBIT)  # the sources where no camera was given
+GUESSED = ("found", "orbit")  # the sources of a region where no camera was given
 SOURCES = {
     "cameras": "about the cameras of the scene",
     "found": "about places that were found by looking at the scene",
     "file": "as it was given",
-    ORBIT: "on an orbit around the scene, because nobody knows from where it is meant to be seen",
+    "orbit": "on an orbit around the scene, because nobody knows from where it is meant to be seen",
 }
 
 
-@dataclass(frozen=True, slots=True)
-class RegionSummary:
-    """Figures of a region; pairs are the least and the most over its places."""
-
-    source: str
-    places: int
-    reach: tuple[float, float]  # world units
-    distance: tuple[float, float]  # world units from a place to what its viewer looks at
-    turn: float  # degrees
-    near: float  # world units
-    width: int  # pixels of the views that it was judged by
-    height: int
-    fov_y: float  # degrees
-
-    @staticmethod
-    def of(region: Region) -> RegionSummary:
-        reach = [place.reach for place in region.places]
-        away = [float(np.linalg.norm(np.subtract(place.position, place.focus))) for place in region.places]
-        spans = (min(reach), max(reach)), (min(away), max(away))
-        size = region.width, region.height
-        return RegionSummary(region.source, len(reach), *spans, region.turn, region.near, *size, region.fov_y)
-
-    @property
-    def words(self) -> str:
-        places = "1 place" if self.places == 1 else f"{self.places} places"
-        return (
-            f"{SOURCES[self.source]}: {places} with a reach of {_span(self.reach)} units, {_span(self.distance)} units "
-            f"from what is looked at; {self.turn:g}° to turn"
-        )
-
-    @property
-    def views(self) -> str:
-        return f"{self.width}x{self.height} pixels, {self.fov_y:.3g}° high, near plane at {self.near:g} units"
+def region_figures(region: Region) -> dict[str, Any]:
+    """Return figures of a region, in world units and degrees; pairs are the least and the most over its places."""
+    reach = [place.reach for place in region.places]
+    away = [float(np.linalg.norm(np.subtract(place.position, place.focus))) for place in region.places]
+    spans = {"reach": (min(reach), max(reach)), "distance": (min(away), max(away))}
+    shared = {name: getattr(region, name) for name in ("turn", "near", "width", "height", "fov_y")}
+    return {"source": region.source, "places": len(reach), **spans, **shared}
 
 
-def _span(values: tuple[float, float]) -> str:
-    low, high = (f"{value:.3g}" for value in values)
-    return low if low == high else f"{low} to {high}"
+def region_words(region: Region) -> str:
+    figures = region_figures(region)
+    ends = ([f"{value:.3g}" for value in figures[name]] for name in ("reach", "distance"))
+    reach, distance = (" to ".join(dict.fromkeys(pair)) for pair in ends)
+    places = "1 place" if len(region.places) == 1 else f"{len(region.places)} places"
+    return (
+        f"{SOURCES[region.source]}: {places} with a reach of {reach} units, {distance} units "
+        f"from what is looked at; {region.turn:g}° to turn"
+    )
 
 
 def world_from(up: Sequence[float], metres: float | None = None) -> World:
-    """The world of a scene of which `up` (3,) points up and a unit is so many metres; None: nobody knows how many.
+    """Return the world of a scene of which `up` (3,) points up and a unit is `metres` long; None: unknown.
 
     The turn is the shortest one, after half a turn about x where up is in the lower half space: so y down, z up and
     y up become (x, -y, -z), (x, z, -y) and (x, y, z). Raises ConfigError.
@@ -197,7 +172,7 @@ def world_from(up: Sequence[float], metres: float | None = None) -> World:
 
 
 def world_at(world: World, origin: Origin) -> World:
-    """A world whose transform is of coordinates from an origin; a transform that shifts nothing stays as it is."""
+    """Return a world for coordinates from an origin; a transform that shifts nothing stays as it is."""
     rows = np.array(world.transform).reshape(3, 4)
     if rows[:, 3].any():
         rows[:, 3] += rows[:, :3] @ origin
@@ -205,18 +180,18 @@ def world_at(world: World, origin: Origin) -> World:
 
 
 def up_of(world: World) -> Vector:
-    """(3,) which way is up in the coordinates of the scene, of length 1."""
+    """Return (3,) up in the coordinates of the scene, of length 1."""
     row = np.array(world.transform[4:7])
     return np.asarray(row / np.linalg.norm(row))
 
 
 def unit_of(world: World) -> float | None:
-    """Metres that a unit of the scene is long; None where nobody knows."""
+    """Return the metres that a unit of the scene is long; None: unknown."""
     return float(np.linalg.norm(world.transform[4:7])) if world.metric else None
 
 
 def parse_up(text: str) -> tuple[float, ...]:
-    """A direction from text: an axis such as y or -y, or X,Y,Z. Raises ConfigError."""
+    """Read a direction from text: an axis such as y or -y, or X,Y,Z. Raises ConfigError."""
     if text in AXES:
         return AXES[text]
     try:
@@ -227,7 +202,7 @@ def parse_up(text: str) -> tuple[float, ...]:
 
 
 def read_world(path: Path) -> World:
-    """A transform to a world with y up in metres from a file: 3x4 or 4x4 numbers row by row, as text or as JSON.
+    """Read a transform to a world with y up in metres: 3x4 or 4x4 numbers row by row, as text or JSON.
 
     Raises ConfigError for anything else.
     """
@@ -249,17 +224,15 @@ def read_world(path: Path) -> World:
 
 
 def world_words(world: World | None) -> str:
-    """Which way is up and how long a unit is, for people."""
     if world is None:
-        return "up: not told, players take that of the views of the region; units: not told"
+        return "up: unknown, players take that of the views of the region; units: unknown"
     up = ", ".join(f"{number:.6g}" for number in up_of(world).round(6) + 0.0)
     unit = unit_of(world)
-    return f"up: ({up}); units: " + ("not told" if unit is None else f"one is {unit:.6g} m")
+    return f"up: ({up}); units: " + ("unknown" if unit is None else f"one is {unit:.6g} m")
 
 
 def misread(world: World | None, form: str, axes: Axes | None) -> list[str]:
-    """A line where the specification of a format says otherwise of up and units than a package: coordinates stay."""
-    if axes is None:
-        return []
-    meant, told = world_words(world_from(axes.up, axes.metres)), world_words(world)
-    return [] if meant == told else [f"coordinates stay: readers of {form} take {meant}; here it is {told}"]
+    """Return a sentence where the specification of a format and a package differ about up and units."""
+    meant, said = axes and world_words(world_from(axes.up, axes.metres)), world_words(world)
+    differ = meant is not None and meant != said
+    return [f"coordinates stay: readers of {form} take {meant}; here it is {said}"] if differ else []

@@ -1,6 +1,6 @@
 """The tables of a package as frozen values: airgs.json (the root), the pages of its index, and a table a group.
 
-FORMAT.md says what each field means. What a field may hold beside its type is a constraint in its annotation; `parse`
+FORMAT.md says what each field means. What else a field must be is a constraint in its annotation; `parse`
 reads the JSON back and refuses everything else. `manifest` is a package's tables as one value.
 """
 
@@ -42,22 +42,18 @@ KEYFRAME_ATTRIBUTES = DELTA_ATTRIBUTES[1:]  # canonical means travel in the side
 STATIC = 255  # depth of a row that no level carries; no depth is larger
 LEAST_CLASS, MOST_CLASS = -128, 127  # of motion: a row of class c has the motion unit 2^c world units
 MOST_WIDER = 255  # e of a row that lies in a grid 2^e times as wide
-TRANSFORM_UNITS = 32767  # entries of a colour transform are whole numbers of 1 over so much
+TRANSFORM_UNITS = 32767  # entries of a colour transform are whole numbers of 1 / 32767
 
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """Bounds of a number, both included."""
-
-    low: float
+    low: float  # both bounds are included
     high: float
 
 
 @dataclass(frozen=True, slots=True)
 class Length:
-    """How many values a list may have, at least and at most."""
-
-    low: int
+    low: int  # how many values a list may have
     high: int
 
 
@@ -77,17 +73,14 @@ Digests = Annotated[str, Pattern("([A-Za-z0-9_-]{32})*", "digests of 32 characte
 Count = Annotated[int, Range(0, MAX_COUNT)]
 FrameNumber = Annotated[int, Range(0, MAX_FRAMES)]
 FrameCount = Annotated[int, Range(1, MAX_FRAMES)]
-FileBytes = Annotated[int, Range(0, MAX_FILE_BYTES)]
 PictureBytes = Annotated[int, Range(1, MAX_FILE_BYTES)]
 Side = Annotated[int, Range(0, MAX_PICTURE_SIDE)]
 Ticks = Annotated[int, Range(1, 1 << 31)]
-Share = Annotated[float, Range(0, 1)]
 Factor = Annotated[float, Range(1e-6, 1e6)]
 Step = Annotated[float, Range(1e-30, 1e30)]
 Gain = Annotated[float, Range(1e-3, 128)]
 Decibels = Annotated[float, Range(-MAX_PSNR, MAX_PSNR)]
 Point = Annotated[list[Annotated[float, Range(-1e30, 1e30)]], Length(3, 3)]
-Similarity = Annotated[list[Annotated[float, Range(-1e30, 1e30)]], Length(12, 12)]
 Colour = Annotated[list[Annotated[float, Range(0, 1)]], Length(3, 3)]
 PlaceName = Annotated[str, Pattern(r"[^\x00-\x1f]{1,64}", "1 to 64 characters, none of control")]
 Choices = Length(1, MAX_CHOICES)
@@ -97,7 +90,7 @@ Choices = Length(1, MAX_CHOICES)
 class FileEntry:
     """Length and digest of a file; 0 and no digest where there is no file."""
 
-    bytes: FileBytes
+    bytes: Annotated[int, Range(0, MAX_FILE_BYTES)]
     sha256: Digest
 
 
@@ -151,7 +144,8 @@ class Region:
 class World:
     """Where the scene stands in a right-handed world with y up, as that of glTF: for players, not for decoders."""
 
-    transform: Similarity  # three rows of a turn, times a scale, with a shift: x in the world = row 0 · (x, y, z, 1)
+    # Three rows of a turn, times a scale, with a shift: x in the world = row 0 · (x, y, z, 1).
+    transform: Annotated[list[Annotated[float, Range(-1e30, 1e30)]], Length(12, 12)]
     metric: bool  # whether a unit of that world is a metre; false: nobody knows how long it is
 
 
@@ -178,7 +172,7 @@ class Level:
     """A pruning level: which share of the moving rows is withheld at least, and the step factor of the others."""
 
     id: str
-    pruned: Share  # of the moving rows
+    pruned: Annotated[float, Range(0, 1)]  # of the moving rows
     factor: Factor
     tiers: int  # keyframe tiers that its viewers fetch; rows of later tiers have no delta in it
     quality: Annotated[
@@ -256,7 +250,7 @@ class Atlas:
 
     @property
     def pages(self) -> int:
-        """How many pictures show it together, each the next `height` lines."""
+        """How many pictures show the atlas together, each the next `height` lines."""
         return -(-self.size[1] // self.height)
 
 
@@ -265,7 +259,7 @@ class GroupTier:
     """A keyframe tier of one group."""
 
     count: Count  # rows; a tier without rows has no files
-    factor: Factor  # on the keyframe steps, beside that of the keyframe quality
+    factor: Factor  # on the keyframe steps, and on top of it that of the keyframe quality
     sidecar: FileEntry  # shared by all its qualities
     qualities: list[Atlas]  # of no rows where nothing differs from the group `base`
     pictures: list[FileEntry]  # the picture in each quality; none of no rows
@@ -373,8 +367,6 @@ Rungs = list[list[RungQuality]]  # of each keyframe quality and level; empty: no
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What is true of a whole package."""
-
     version: int
     generator: Generator
     attribution: str
@@ -387,15 +379,16 @@ class Header:
     keyframe_gain: Gain  # luma levels a step in keyframe atlases
     delta_gain: Gain  # luma levels a step in delta atlases
     region: Region
-    world: World | None  # None, and no such field in airgs.json: nobody told which way is up
+    world: World | None  # None, and no such field in airgs.json: the way up is unknown
     origin: Point | None  # where positions are from in the world; None, and no such field in airgs.json: from zero
-    poster: FileEntry | None  # None, and no such field in airgs.json: there is none
+    poster: FileEntry | None  # None, and no such field in airgs.json: no poster
     views: Views
     qualities: Annotated[list[KeyframeQuality], Choices]
     levels: Annotated[list[Level], Choices]
     tiers: Annotated[int, Range(1, MAX_CHOICES)]  # keyframe tiers
     rungs: Rungs
-    sound: Sound | None  # None, and no such field in airgs.json: there is none
+    sound: Sound | None  # None, and no such field in airgs.json: no sound
+    init: FileEntry  # init.mp4, for DASH players alone
 
     @property
     def fps(self) -> Fraction:
@@ -406,13 +399,13 @@ class Header:
         return self.timescale * self.frame_rate[1] // self.frame_rate[0]
 
     def packets(self, start: int, stop: int) -> range:
-        """The packets of sound, counted from the beginning, that start in the time of frames [start, stop)."""
+        """Return the packets of sound, counted from the beginning, that start in the time of frames [start, stop)."""
         first, last = (-(-frame * PACKETS * self.frame_rate[1] // self.frame_rate[0]) for frame in (start, stop))
         return range(first, last)
 
     @property
     def colour_channels(self) -> int:
-        """Colour channels C of an atlas: three DC, then SH rest."""
+        """Colour channels C of an atlas: three of DC, then SH rest."""
         return 3 * (1 + SH_REST[self.sh_degree])
 
     @property
@@ -420,11 +413,11 @@ class Header:
         return self.views.reference != "none"
 
     def level_index(self, choice: str | int) -> int:
-        """Index of a level given by its id ("L1") or its index (1 or "1"). Raises ConfigError for any other."""
+        """Return the index of a level given by its id ("L1") or its index (1 or "1"). Raises ConfigError."""
         return _index_of("level", choice, [level.id for level in self.levels])
 
     def quality_index(self, choice: str | int) -> int:
-        """Return the index of a keyframe quality given by id or index ("Q1", 1 or "1"). Raises ConfigError."""
+        """Return the index of a keyframe quality given by its id ("Q1") or its index (1 or "1"). Raises ConfigError."""
         return _index_of("keyframe_quality", choice, [quality.id for quality in self.qualities])
 
 
@@ -432,7 +425,6 @@ class Header:
 class Root(Header):
     """airgs.json."""
 
-    init: FileEntry  # init.mp4, for DASH players alone
     index: Annotated[list[Spans], Length(1, MAX_LEVELS)]  # groups, then pages of each level: what fills no page above
 
 
@@ -444,7 +436,7 @@ def _index_of(what: str, choice: str | int, ids: list[str]) -> int:
 
 
 def digest(data: bytes | bytearray) -> str:
-    """The first 24 bytes of the SHA-256 of a file as 32 characters of base64url (RFC 4648, section 5)."""
+    """Return the first 24 bytes of the SHA-256 of a file as 32 characters of base64url (RFC 4648, section 5)."""
     return shorten(hashlib.sha256(data).digest())
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from airgs_codec._report import BLUE, GREEN, GREY, RED, Page, Picture, Table, answered, cell, listed
 from airgs_codec.package.manifest import quality_of, rungs_of
-from airgs_codec.package.region import RegionSummary
+from airgs_codec.package.region import region_words
 from airgs_codec.play.player import SHORTEST_S
 from airgs_codec.play.policies import DEFAULT_POLICY
 from airgs_codec.play.session import SessionLog, session_bound
@@ -72,7 +72,7 @@ def format_metrics(log: SessionLog) -> str:
 
 
 def _readable(log: SessionLog) -> dict[str, str]:
-    m, region, budget = log.metrics, RegionSummary.of(log.offers.manifest.region), log.settings.budget
+    m, budget = log.metrics, log.settings.budget
     bound, link = session_bound(log), log.link
     quality = f"mean over ticks {m.psnr_mean:.2f} dB, 5th percentile {m.psnr_p5:.2f} dB" if m.psnr_mean else ""
     used = "" if m.utilisation is None else f", {100 * m.utilisation:.0f} % of what could pass"
@@ -97,7 +97,7 @@ def _readable(log: SessionLog) -> dict[str, str]:
         "regret": "-" if bound is None else f"{bound - log.mean_quality:.2f} dB less than that",
         "lost": f"{m.lost_frames} frames; {listed(log.lost)}" if log.lost else "-",
         "asked for again": f"{len(log.retried)} files; {listed(log.retried)}" if log.retried else "-",
-        "viewing region": region.words,
+        "viewing region": region_words(log.offers.manifest.region),
     }
     return {name: value for name, value in rows.items() if value != "-"}
 

@@ -33,7 +33,7 @@ class Renderer:
         return cuda.OnCuda.of(active)
 
     def render(self, gaussians: Gaussians, camera: Camera, background: Background | None = None) -> Render:
-        """The picture that `camera` sees of the Gaussians before a background; None: the camera's."""
+        """Draw what `camera` sees of the Gaussians before a background; None: the camera's."""
         return self.load(gaussians).draw(camera, background)
 
 
@@ -41,7 +41,7 @@ CPU = Renderer()
 
 
 def open_renderer(device: str) -> Renderer:
-    """The renderer of auto, cpu or cuda; auto is cuda where gsplat can run. Raises ConfigError where cuda cannot."""
+    """Return the renderer of auto, cpu or cuda; auto is cuda where gsplat can run. Raises ConfigError."""
     if device not in DEVICES:
         raise ConfigError(f"device: expected {', '.join(DEVICES)}, got {device!r}")
     if device == "cpu":
@@ -53,7 +53,7 @@ def open_renderer(device: str) -> Renderer:
 
 
 def draw(gaussians: Gaussians | Mapping[str, Any], camera: Camera, device: str = "cpu") -> Render:
-    """The picture that a camera sees of Gaussians before its background, drawn on cpu or, with gsplat, on cuda.
+    """Draw what a camera sees of Gaussians before its background, on cpu or, with gsplat, on cuda.
 
     They may be a mapping of arrays, as in `Sequence.from_arrays`; `device` may be auto, too. Raises SceneError for what
     is no frame, ConfigError where the device cannot be used.

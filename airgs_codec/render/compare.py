@@ -19,7 +19,7 @@ View = tuple[int, Camera]  # number of a frame, and what looks at it
 Source = Callable[[int, Camera], Picture]  # shows a frame as a camera sees it
 Measure = TypeVar("Measure")
 
-AHEAD = 4  # views that are measured while the next one is drawn
+MEASURED_AHEAD = 4  # views that are measured while the next one is drawn
 
 
 def compare(
@@ -29,8 +29,8 @@ def compare(
 
     `measure` is `Picture.mse`, which is the cheapest, or `Difference.of` for every figure; `media.metrics.pool` makes
     one figure of many views. Each source is asked for a picture of a view when its turn comes; threads measure the
-    last AHEAD views meanwhile, after which their pictures are no longer held. Raises ConfigError without a view, and
-    for pictures of different sizes.
+    last few views meanwhile, whose pictures stay in memory as long. Raises ConfigError without a view, and for pictures
+    of different sizes.
     """
     if not views:
         raise ConfigError("views: expected at least one to compare pictures in, got none")
@@ -44,10 +44,9 @@ def _measure_ahead(
     with ThreadPoolExecutor(available_cores()) as threads:
         for pair in pictures:
             begun.append(threads.submit(measure, *pair))
-            if len(begun) > AHEAD:
+            if len(begun) > MEASURED_AHEAD:
                 yield begun.popleft().result()
-        while begun:
-            yield begun.popleft().result()
+        yield from (future.result() for future in begun)
 
 
 def _drawn(view: View, reference: Source, shown: Source) -> tuple[Picture, Picture]:
@@ -60,7 +59,7 @@ def _drawn(view: View, reference: Source, shown: Source) -> tuple[Picture, Pictu
 
 
 def draw_frames(read: Callable[[int], Gaussians], renderer: Renderer = CPU) -> Source:
-    """Pictures of the Gaussians that `read` gives of a frame; the last frame stays loaded for its further views."""
+    """Return the source of pictures of what `read` gives; the last frame stays loaded for its further views."""
     loaded = lru_cache(maxsize=1)(lambda frame: renderer.load(read(frame)))
     return lambda frame, camera: Picture.of(loaded(frame).draw(camera).rgb)
 
@@ -68,15 +67,15 @@ def draw_frames(read: Callable[[int], Gaussians], renderer: Renderer = CPU) -> S
 def in_order(numbers: Sequence[int], frames: Iterator[Gaussians]) -> Callable[[int], Gaussians]:
     """Return what reads frames of these ascending numbers from a stream of them; they are asked for in that order."""
     pairs = zip(numbers, frames, strict=True)
-    return lambda number: next(frame for there, frame in pairs if there == number)
+    return lambda number: next(frame for found, frame in pairs if found == number)
 
 
 def draw_still(gaussians: Gaussians, renderer: Renderer = CPU) -> Source:
-    """Pictures of Gaussians that every frame shows alike."""
+    """Return the source of pictures that show the same Gaussians in every frame."""
     loaded = renderer.load(gaussians)
     return lambda _, camera: Picture.of(loaded.draw(camera).rgb)
 
 
 def draw_once(source: Source) -> Source:
-    """Pictures that are held once they are drawn: for a reference that several sources are compared with."""
+    """Return a source that remembers its pictures: for a reference that several sources are compared with."""
     return cache(source)

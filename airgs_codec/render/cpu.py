@@ -32,8 +32,8 @@ Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 Without = Callable[[NDArray[np.bool_] | None], Floats]  # mask (N,) of the rows that are drawn, None: all -> (H, W, 3)
 
-TILE = kernels.TILE  # pixels across a tile
-FAR = 1e18  # world units along the view axis: the square of more is no float32
+TILE = kernels.TILE_SIDE  # pixels
+FAR_PLANE = 1e18  # world units along the view axis: the square of more is no float32
 DILATION = 0.3  # px^2 added to the projected covariance, as gsplat and INRIA do
 
 _LOCK = threading.Lock()  # numba's thread layers abort when two threads run parallel kernels
@@ -140,16 +140,22 @@ class Projected:
     slots: Ints  # (M,) place in `ids` of each pair, Gaussian by Gaussian
 
     def tiles(self) -> tuple[Floats, Longs, Ints, Ints, int, int]:
-        """The first argument of every kernel that walks through the tiles."""
-        return self.flat, self.start, self.ids, _balanced(np.diff(self.start), self.drawn), *self.shape
+        """Return the first argument of every kernel that walks through the tiles.
+
+        Drawn tiles come in an order whose equal static chunks cost the same: dealt out like cards, the dearest first.
+        """
+        ranked = np.argsort(-np.diff(self.start), kind="stable").astype(np.int32)
+        ranked, threads = ranked[self.drawn[ranked]], numba.get_num_threads()
+        order = np.concatenate([ranked[i::threads] for i in range(threads)])
+        return self.flat, self.start, self.ids, order, *self.shape
 
     def draw(self, background: Background, rows: NDArray[np.bool_] | None = None) -> Render:
-        """The picture before a background, without Gaussians that are False in a mask (N,)."""
+        """Return the picture before a background, without Gaussians that are False in a mask (N,)."""
         if rows is None:
             return _draw(self, background)[0]
-        kept = rows[self.ids]
-        before = np.concatenate([[0], np.cumsum(kept)])
-        return _draw(replace(self, start=before[self.start], ids=self.ids[kept]), background)[0]
+        shown = rows[self.ids]
+        before = np.concatenate([[0], np.cumsum(shown)])
+        return _draw(replace(self, start=before[self.start], ids=self.ids[shown]), background)[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,22 +170,13 @@ class Blended:
     wanted: NDArray[np.bool_]  # (N,) Gaussians that have gradients
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Gradients:
-    """Derivatives of a loss by what a picture was made of."""
-
-    inputs: RasterInputs[Floats]
-    places: Floats  # (N, 2) by x and y of the pixel position
-    absolute: Floats  # (N, 2) the same, the absolute values of single pixels summed (AbsGS)
-
-
 def use_threads(count: int) -> None:
-    """Let kernels that this thread calls work on so many threads at most."""
+    """Let kernels that this thread calls work on at most `count` threads."""
     numba.set_num_threads(min(count, numba.get_num_threads()))
 
 
 def activate(g: Gaussians) -> RasterInputs[Floats]:
-    """Gaussians in stored domain -> contiguous float32 arrays as the kernels take them."""
+    """Return Gaussians in stored domain as contiguous float32 arrays that the kernels take."""
     with np.errstate(over="ignore"):  # a scale past float32 is Inf, and Inf is culled
         scales = np.exp(g.log_scales)
     sh = np.concatenate([g.sh_dc[:, None], g.sh_rest], axis=1)
@@ -243,12 +240,9 @@ class Loaded:
 def project(inputs: RasterInputs[Floats], camera: Camera, tiles: NDArray[np.bool_] | None = None) -> Projected:
     """Project the Gaussians, sort them by depth, assign them to tiles; `tiles` (down, across): to these only."""
     _announce()
-    n = len(inputs.means)
-    flat = np.zeros((n, 12), np.float32)
-    key = np.empty(n, np.uint64)
-    touched = np.empty(n, np.int32)
-    size = (camera.width, camera.height)
-    shape = (-(-camera.width // kernels.TILE), -(-camera.height // kernels.TILE))
+    n, size = len(inputs.means), (camera.width, camera.height)
+    flat, key, touched = np.zeros((n, 12), np.float32), np.empty(n, np.uint64), np.empty(n, np.int32)
+    shape = (-(-camera.width // TILE), -(-camera.height // TILE))
     drawn = np.ones(shape[0] * shape[1], np.bool_) if tiles is None else np.ascontiguousarray(tiles).reshape(-1)
     with _LOCK:
         kernels.project((*inputs, inputs.sh_degree), _seen_by(camera), drawn, flat, key, touched)
@@ -260,41 +254,42 @@ def project(inputs: RasterInputs[Floats], camera: Camera, tiles: NDArray[np.bool
 
 
 def _draw(
-    p: Projected, background: Background, rest: Render | None = None, pairs: Floats | None = None
+    p: Projected, background: Background, before: Render | None = None, pairs: Floats | None = None
 ) -> tuple[Render, Ints]:
-    """The picture, and (tiles,) how many pairs of each tile were visited.
+    """Return the picture, and (tiles,) how many pairs of each tile were visited.
 
-    `rest`: what is not drawn shows this. `pairs` (M, 3): takes the statistics of `kernels.blend`, not the picture.
+    `before`: what is not drawn shows this. `pairs` (M, 3): takes the statistics of `kernels.blend`, not the picture.
     """
     width, height = p.size
-    if rest is None:
-        picture = Render(np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32))
-    else:
-        picture = Render(rest.rgb.copy(), rest.transmittance.copy())
+    rgb = np.empty((height, width, 3), np.float32) if before is None else before.rgb.copy()
+    transmittance = np.empty((height, width), np.float32) if before is None else before.transmittance.copy()
     visited = np.empty(len(p.start) - 1, np.int32)
-    colour = np.asarray(background, np.float32)
     with _LOCK:
-        kernels.blend(p.tiles(), colour, picture.rgb, picture.transmittance, visited, pairs)
-    return picture, visited
+        kernels.blend(p.tiles(), np.asarray(background, np.float32), rgb, transmittance, visited, pairs)
+    return Render(rgb, transmittance), visited
 
 
 def blend(
     inputs: RasterInputs[Floats], camera: Camera, background: Background, redraw: Redraw | None = None
 ) -> Blended:
     """Project the Gaussians and blend them front to back; `redraw`: in its tiles only."""
-    p = project(inputs, camera, None if redraw is None else redraw.tiles)
-    picture, visited = _draw(p, background, None if redraw is None else redraw.rest())
+    p = project(inputs, camera, redraw.tiles if redraw else None)
+    picture, visited = _draw(p, background, redraw.rest() if redraw else None)
     wanted = np.ones(len(inputs.means), np.bool_)
-    if redraw is not None:
+    if redraw:
         wanted[: len(redraw.rows)] = redraw.rows
     return Blended(inputs, camera, picture, p, visited, wanted)
 
 
-def gradients(blended: Blended, grad_rgb: Floats, grad_transmittance: Floats) -> Gradients:
-    """The backward pass of `blend`, from dL / d rgb (H, W, 3) and dL / d transmittance (H, W)."""
-    pairs = _pair_gradients(blended, grad_rgb, grad_transmittance, None)
-    out, sums = _sum_gradients(blended, pairs)
-    return Gradients(out, sums[:, 4:6], sums[:, 9:11])
+def gradients(
+    blended: Blended, grad_rgb: Floats, grad_transmittance: Floats
+) -> tuple[RasterInputs[Floats], Floats, Floats]:
+    """Return the derivatives of a loss by the inputs of `blend`, from those by rgb (H, W, 3) and transmittance (H, W).
+
+    After them those by the pixel positions (N, 2), and the sums of the absolute values of single pixels (AbsGS).
+    """
+    out, sums = _sum_gradients(blended, _pair_gradients(blended, grad_rgb, grad_transmittance, None))
+    return out, sums[:, 4:6], sums[:, 9:11]
 
 
 def _pair_gradients(blended: Blended, grad_rgb: Floats, grad_transmittance: Floats, statistics: bool | None) -> Floats:
@@ -320,7 +315,6 @@ def _sum_gradients(blended: Blended, pairs: Floats) -> tuple[RasterInputs[Floats
 
 
 def _contribution(p: Projected, pairs: Floats) -> Contribution:
-    """Sum what `kernels.blend` says of the pairs."""
     rows = len(p.flat)
     peak = np.zeros(rows, np.float32)
     np.maximum.at(peak, p.ids, pairs[:, 1])
@@ -330,7 +324,7 @@ def _contribution(p: Projected, pairs: Floats) -> Contribution:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Kernels run on one thread inside: on small pictures threads wait for each other longer than they work."""
+    """Run kernels on one thread inside: on small pictures threads wait for each other longer than they work."""
     threads = numba.get_num_threads()
     numba.set_num_threads(1)
     try:
@@ -340,18 +334,10 @@ def one_thread() -> Iterator[None]:
 
 
 def _seen_by(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64], int, int, float, float, float]:
-    """A camera as the kernels take it: world-to-camera matrix, fx, fy, cx, cy, size, near, far, dilation."""
+    """Return a camera as the kernels take it: world-to-camera matrix, fx, fy, cx, cy, size, near, far, dilation."""
     view = np.ascontiguousarray(camera.world_to_camera, np.float64)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    return view, intrinsics, camera.width, camera.height, camera.near, FAR, DILATION
-
-
-def _balanced(costs: Longs, drawn: NDArray[np.bool_]) -> Ints:
-    """The drawn tiles in an order whose equal static chunks cost alike: dealt out by descending cost, like cards."""
-    ranked = np.argsort(-costs, kind="stable").astype(np.int32)
-    ranked = ranked[drawn[ranked]]
-    threads = numba.get_num_threads()
-    return np.concatenate([ranked[i::threads] for i in range(threads)])
+    return view, intrinsics, camera.width, camera.height, camera.near, FAR_PLANE, DILATION
 
 
 @cache

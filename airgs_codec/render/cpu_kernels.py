@@ -27,42 +27,26 @@ from numba import njit, prange
 
 from airgs_codec.scene.gaussians import SH_C0
 
-TILE = 16
-TILE_PIXELS = TILE * TILE
-BIN_CHUNKS = 16  # of Gaussians that threads bin side by side
+TILE_SIDE = 16
+TILE_PIXELS = TILE_SIDE * TILE_SIDE
+ROW_CHUNKS, BIN_CHUNKS = 64, 16  # of Gaussians that threads project, and sort into tiles, side by side
 # Never nnan or ninf: they would delete the comparisons that keep NaN and Inf out.
 FAST = {"reassoc", "contract", "arcp", "nsz", "afn"}
 f4 = np.float32
 
 # Real spherical harmonics of bands 1 to 3, with the signs of the INRIA files.
 SH_C1 = 0.4886025119029199
-SH_C2 = C20, C21, C22, C23, C24 = (
-    1.0925484305920792,
-    -1.0925484305920792,
-    0.31539156525252005,
-    -1.0925484305920792,
-    0.5462742152960396,
-)
-SH_C3 = C30, C31, C32, C33, C34, C35, C36 = (
-    -0.5900435899266435,
-    2.890611442640554,
-    -0.4570457994644658,
-    0.3731763325901154,
-    -0.4570457994644658,
-    1.445305721320277,
-    -0.5900435899266435,
-)
+C20, C22 = 1.0925484305920792, 0.31539156525252005
+SH_C2 = C20, C21, C22, C23, C24 = C20, -C20, C22, -C20, C20 / 2
+C30, C31, C32, C33 = -0.5900435899266435, 2.890611442640554, -0.4570457994644658, 0.3731763325901154
+SH_C3 = C30, C31, C32, C33, C34, C35, C36 = C30, C31, C32, C33, C32, C31 / 2, C30
 
 # exp(e) / 255 on [0, ln 255] as p(e)^8 with p of degree 5: relative error below 2e-6 in float32.
-_c = (
-    np.polynomial.chebyshev.Chebyshev.interpolate(lambda e: np.exp((e - np.log(255)) / 8), 5, domain=[0, 5.6])
-    .convert(kind=np.polynomial.Polynomial)
-    .coef
-)
-E0, E1, E2, E3, E4, E5 = [f4(v) for v in _c]
+_c = np.polynomial.chebyshev.Chebyshev.interpolate(lambda e: np.exp((e - np.log(255)) / 8), 5, domain=[0, 5.6])
+E0, E1, E2, E3, E4, E5 = (f4(v) for v in _c.convert(kind=np.polynomial.Polynomial).coef)
 ALPHA_MAX = f4(0.999)
 T_MIN = f4(1e-4)
-MARGIN = 0.15  # of the picture, on each side, in which projections are still linearised in their own place
+LINEAR_MARGIN = 0.15  # of the picture, on each side, in which projections are still linearised in their own place
 
 
 @njit(fastmath=FAST)
@@ -70,13 +54,9 @@ def sh_basis(deg, x, y, z, b):
     """Basis values in direction (x, y, z), unit length, into b (16,)."""
     b[0] = SH_C0
     if deg > 0:
-        b[1] = -SH_C1 * y
-        b[2] = SH_C1 * z
-        b[3] = -SH_C1 * x
+        b[1], b[2], b[3] = -SH_C1 * y, SH_C1 * z, -SH_C1 * x
     if deg > 1:
-        xx = x * x
-        yy = y * y
-        zz = z * z
+        xx, yy, zz = x * x, y * y, z * z
         b[4] = C20 * x * y
         b[5] = C21 * y * z
         b[6] = C22 * (2.0 * zz - xx - yy)
@@ -112,9 +92,7 @@ def sh_basis_grad(deg, x, y, z, basis):
         _slope(basis, 7, C23 * z, 0.0, C23 * x)
         _slope(basis, 8, 2 * C24 * x, -2 * C24 * y, 0.0)
     if deg > 2:
-        xx = x * x
-        yy = y * y
-        zz = z * z
+        xx, yy, zz = x * x, y * y, z * z
         _slope(basis, 9, C30 * 6 * x * y, C30 * (3 * xx - 3 * yy), 0.0)
         _slope(basis, 10, C31 * y * z, C31 * x * z, C31 * x * y)
         _slope(basis, 11, -2 * C32 * x * y, C32 * (4 * zz - xx - 3 * yy), 8 * C32 * y * z)
@@ -131,7 +109,6 @@ def _dot(a, b):
 
 @njit(fastmath=FAST)
 def _times(a, b):
-    """The products of the numbers of two vectors."""
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
@@ -165,8 +142,8 @@ def _lens(view, intrinsics, W, H):
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     lens = np.empty(9, np.float64)
     lens[0], lens[1] = fx, fy
-    lens[2], lens[3] = -cx / fx - MARGIN * W / fx, (W - cx) / fx + MARGIN * W / fx
-    lens[4], lens[5] = -cy / fy - MARGIN * H / fy, (H - cy) / fy + MARGIN * H / fy
+    lens[2], lens[3] = -cx / fx - LINEAR_MARGIN * W / fx, (W - cx) / fx + LINEAR_MARGIN * W / fx
+    lens[4], lens[5] = -cy / fy - LINEAR_MARGIN * H / fy, (H - cy) / fy + LINEAR_MARGIN * H / fy
     for a in range(3):  # camera centre: -R^T t
         lens[6 + a] = -(view[0, a] * view[0, 3] + view[1, a] * view[1, 3] + view[2, a] * view[2, 3])
     return lens
@@ -240,9 +217,7 @@ def _colour(deg, lens, p, sh, i, b):
     sh_basis(deg, x, y, z, b)
     c0 = c1 = c2 = 0.5
     for k in range((deg + 1) * (deg + 1)):
-        c0 += b[k] * sh[i, k, 0]
-        c1 += b[k] * sh[i, k, 1]
-        c2 += b[k] * sh[i, k, 2]
+        c0, c1, c2 = c0 + b[k] * sh[i, k, 0], c1 + b[k] * sh[i, k, 1], c2 + b[k] * sh[i, k, 2]
     return c0, c1, c2
 
 
@@ -281,12 +256,10 @@ def project(scene, camera, drawn, flat, key, tiles):
     view, intrinsics, W, H, near, far, eps2d = camera
     N = means.shape[0]
     lens = _lens(view, intrinsics, W, H)
-    tiles_x = (W + TILE - 1) // TILE
-    tiles_y = (H + TILE - 1) // TILE
-    NCH = 64
-    for ch in prange(NCH):
+    tiles_x, tiles_y = (W + TILE_SIDE - 1) // TILE_SIDE, (H + TILE_SIDE - 1) // TILE_SIDE
+    for ch in prange(ROW_CHUNKS):
         b = np.empty(16, np.float64)
-        for i in range(ch * N // NCH, (ch + 1) * N // NCH):
+        for i in range(ch * N // ROW_CHUNKS, (ch + 1) * N // ROW_CHUNKS):
             tiles[i] = 0
             key[i] = np.uint64(0xFFFFFFFFFFFFFFFF)
             p = _three(means, i)
@@ -309,18 +282,12 @@ def project(scene, camera, drawn, flat, key, tiles):
             # Cauchy-Binet: no cancellation for needles
             minors = m0[0] * m1[1] - m0[1] * m1[0], m0[0] * m1[2] - m0[2] * m1[0], m0[1] * m1[2] - m0[2] * m1[1]
             det = _dot(minors, minors) + eps2d * (sxx0 + syy0) + eps2d * eps2d
-            sxx = sxx0 + eps2d
-            syy = syy0 + eps2d
+            sxx, syy = sxx0 + eps2d, syy0 + eps2d
             if not (det > 0.0 and det < 1e30):
                 continue
-            A = syy / det
-            beta = -sxy / syy
-            kap = 1.0 / syy
-            t = math.log(255.0 * op)
-            hx = math.sqrt(2.0 * t * sxx)
-            hy = math.sqrt(2.0 * t * syy)
-            mx = lens[0] * u + intrinsics[2]
-            my = lens[1] * v + intrinsics[3]
+            A, beta, kap, t = syy / det, -sxy / syy, 1.0 / syy, math.log(255.0 * op)
+            hx, hy = math.sqrt(2.0 * t * sxx), math.sqrt(2.0 * t * syy)
+            mx, my = lens[0] * u + intrinsics[2], lens[1] * v + intrinsics[3]
             if not (mx + hx > 0.0 and mx - hx < W and my + hy > 0.0 and my - hy < H):
                 continue
             c0, c1, c2 = _colour(deg, lens, p, sh, i, b)
@@ -342,10 +309,9 @@ def _ellipse(flat, i):
 @njit(inline="always")
 def _rows(flat, i, tiles_y):
     """Tile rows [a, b) that the ellipse touches."""
-    y0 = flat[i, 1] - flat[i, 10]
-    y1 = flat[i, 1] + flat[i, 10]
-    a = int(max(0.0, min(y0, 1e6)) // TILE)
-    b = int(max(-1.0, min(y1, 1e6)) // TILE) + 1
+    y0, y1 = flat[i, 1] - flat[i, 10], flat[i, 1] + flat[i, 10]
+    a = int(max(0.0, min(y0, 1e6)) // TILE_SIDE)
+    b = int(max(-1.0, min(y1, 1e6)) // TILE_SIDE) + 1
     return a, min(b, tiles_y)
 
 
@@ -355,8 +321,8 @@ def _xrange(flat, i, ty, tiles_x):
     mx, my, A, be, ka, t = _ellipse(flat, i)
     hx, hy = flat[i, 9], flat[i, 10]
     # ellipse x(y) = mx - beta*dy +- sqrt(2(t-.5 k dy^2)/A)
-    lo = max(ty * TILE + 0.5 - my, -hy)
-    hi = min(ty * TILE + TILE - 0.5 - my, hy)
+    lo = max(ty * TILE_SIDE + 0.5 - my, -hy)
+    hi = min(ty * TILE_SIDE + TILE_SIDE - 0.5 - my, hy)
     if lo > hi:
         return 0, 0
     # y offset of the right-most point: dy* = -sign: derivative zero -> dy = -beta*Syy.. (scaled)
@@ -369,13 +335,12 @@ def _xrange(flat, i, ty, tiles_x):
         xr = hx
     if lo < -ys and -ys < hi:
         xl = -hx
-    x0 = mx + xl - 0.5
-    x1 = mx + xr - 0.5  # pixel index range
-    if x1 < 0 or x0 > tiles_x * TILE:
+    x0, x1 = mx + xl - 0.5, mx + xr - 0.5  # pixel index range
+    if x1 < 0 or x0 > tiles_x * TILE_SIDE:
         return 0, 0
     # 1e-3 px for rounding: a tile too many is tried, never one too few.
-    a = int(max(0.0, math.ceil(x0 - 1e-3))) // TILE
-    b = int(min(float(tiles_x * TILE - 1), math.floor(x1 + 1e-3))) // TILE + 1
+    a = int(max(0.0, math.ceil(x0 - 1e-3))) // TILE_SIDE
+    b = int(min(float(tiles_x * TILE_SIDE - 1), math.floor(x1 + 1e-3))) // TILE_SIDE + 1
     return a, b
 
 
@@ -447,31 +412,26 @@ def _alpha(e):
     return p * p
 
 
-@njit(inline="always")
-def _bounds(tile, tiles_x, W, H):
-    """First column and row of the picture in a tile, and how many of both it has."""
-    y = tile // tiles_x * TILE
-    x = tile % tiles_x * TILE
-    return x, y, min(TILE, W - x), min(TILE, H - y)
-
-
 @njit(inline="always", fastmath=FAST)
-def _start_tile(left, top, W, H, buf):
-    """Planes 0 to 2 of a tile's scratch: transmittance, 0 outside the picture, then x and y of the pixel centres."""
+def _start_tile(tile, tiles_x, W, H, buf):
+    """First column and row of the picture in a tile, and how many of both it has.
+
+    Fills planes 0 to 2 of the tile's scratch: transmittance, 0 outside the picture, then x and y of the pixel centres.
+    """
+    left, top = tile % tiles_x * TILE_SIDE, tile // tiles_x * TILE_SIDE
     for k in range(TILE_PIXELS):
-        x = f4(left) + f4(k % TILE) + f4(0.5)
-        y = f4(top) + f4(k // TILE) + f4(0.5)
+        x, y = f4(left) + f4(k % TILE_SIDE) + f4(0.5), f4(top) + f4(k // TILE_SIDE) + f4(0.5)
         buf[k] = f4(1.0) if x < W and y < H else f4(0.0)
-        buf[TILE_PIXELS + k] = x
-        buf[2 * TILE_PIXELS + k] = y
+        buf[TILE_PIXELS + k], buf[2 * TILE_PIXELS + k] = x, y
+    return left, top, min(TILE_SIDE, W - left), min(TILE_SIDE, H - top)
 
 
 @njit(inline="always", fastmath=FAST)
 def _tile_rows(flat, i, y):
     """Rows [a, b) of a tile with pixels of alpha >= 1/255; a <= b."""
     top = flat[i, 1] - f4(y) - f4(0.5)  # of the centre, in rows of the tile
-    a = math.ceil(min(max(top - flat[i, 10], f4(0.0)), f4(TILE)))
-    b = math.floor(max(min(top + flat[i, 10], f4(TILE - 1.0)), f4(-1.0))) + 1
+    a = math.ceil(min(max(top - flat[i, 10], f4(0.0)), f4(TILE_SIDE)))
+    b = math.floor(max(min(top + flat[i, 10], f4(TILE_SIDE - 1.0)), f4(-1.0))) + 1
     return a, max(a, b)
 
 
@@ -528,9 +488,8 @@ def blend(tiles, background, rgb, transmittance, blended, statistics):
     H, W = transmittance.shape
     for tt in prange(tile_order.shape[0]):
         tile = tile_order[tt]
-        x, y, ww, hh = _bounds(tile, tiles_x, W, H)
         buf = np.zeros(6 * TILE_PIXELS, np.float32)  # T, x, y, r, g, b
-        _start_tile(x, y, W, H, buf)
+        x, y, ww, hh = _start_tile(tile, tiles_x, W, H, buf)
         a = tile_start[tile]
         visited = tile_start[tile + 1] - a
         for j in range(a, a + visited):
@@ -541,8 +500,8 @@ def blend(tiles, background, rgb, transmittance, blended, statistics):
             total = hits = f4(0.0)
             peak = np.int32(0)
             ya, yb = _tile_rows(flat, i, y)
-            row = buf[ya * TILE :]
-            for q in range((yb - ya) * TILE):
+            row = buf[ya * TILE_SIDE :]
+            for q in range((yb - ya) * TILE_SIDE):
                 _, _, _, _, _, w = _blend_pixel(row, q, mx, my, hA, be, hk, t)
                 if statistics is None:
                     row[3 * TILE_PIXELS + q] += w * r
@@ -563,7 +522,7 @@ def blend(tiles, background, rgb, transmittance, blended, statistics):
             continue
         for yy in range(hh):
             for xx in range(ww):
-                o = yy * TILE + xx
+                o = yy * TILE_SIDE + xx
                 T = abs(buf[o])
                 transmittance[y + yy, x + xx] = T
                 for c in range(3):
@@ -587,12 +546,11 @@ def blend_gradient(tiles, rgb, transmittance, blended, grad_rgb, grad_transmitta
         pairs[a + n : tile_start[tile + 1]] = f4(0.0)
         if n == 0:
             continue
-        x, y, ww, hh = _bounds(tile, tiles_x, W, H)
         buf = np.zeros(7 * TILE_PIXELS, np.float32)  # T, x, y, S, gR, gG, gB
-        _start_tile(x, y, W, H, buf)
+        x, y, ww, hh = _start_tile(tile, tiles_x, W, H, buf)
         for yy in range(hh):
             for xx in range(ww):
-                o = yy * TILE + xx
+                o = yy * TILE_SIDE + xx
                 g, seen = grad_rgb[y + yy, x + xx], rgb[y + yy, x + xx]
                 T = transmittance[y + yy, x + xx]
                 buf[3 * TILE_PIXELS + o] = _dot(g, seen) + grad_transmittance[y + yy, x + xx] * T
@@ -606,28 +564,19 @@ def blend_gradient(tiles, rgb, transmittance, blended, grad_rgb, grad_transmitta
             sr = sg = sb = m0 = m1 = m2 = m0y = m0yy = m1y = c9 = c10 = c11 = f4(0.0)
             peak = np.int32(0)
             ya, yb = _tile_rows(flat, i, y)
-            row = buf[ya * TILE :]
-            for q in range((yb - ya) * TILE):
+            row = buf[ya * TILE_SIDE :]
+            for q in range((yb - ya) * TILE_SIDE):
                 dy, d, ar, al, te, w = _blend_pixel(row, q, mx, my, hA, be, hk, t)
-                gr = row[4 * TILE_PIXELS + q]
-                gg = row[5 * TILE_PIXELS + q]
-                gb = row[6 * TILE_PIXELS + q]
+                gr, gg, gb = row[4 * TILE_PIXELS + q], row[5 * TILE_PIXELS + q], row[6 * TILE_PIXELS + q]
                 gc = gr * r + gg * g + gb * bl
                 S = row[3 * TILE_PIXELS + q] - w * gc
                 row[3 * TILE_PIXELS + q] = S
                 da = te * gc - S / (f4(1.0) - al)
                 v = al * da if (w > f4(0.0) and ar <= ALPHA_MAX) else f4(0.0)
-                vd = v * d
-                vy = v * dy
-                sr += w * gr
-                sg += w * gg
-                sb += w * gb
-                m0 += v
-                m1 += vd
-                m2 += vd * d
-                m0y += vy
-                m0yy += vy * dy
-                m1y += vd * dy
+                vd, vy = v * d, v * dy
+                sr, sg, sb = sr + w * gr, sg + w * gg, sb + w * gb
+                m0, m1, m2 = m0 + v, m1 + vd, m2 + vd * d
+                m0y, m0yy, m1y = m0y + vy, m0yy + vy * dy, m1y + vd * dy
                 if statistics is None:
                     c9 += abs(vd * A)
                     c10 += abs(vd * A * be + vy * ka)
@@ -644,21 +593,13 @@ def blend_gradient(tiles, rgb, transmittance, blended, grad_rgb, grad_transmitta
 
 @njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy")
 def sum_pairs(order, first_pair, slots, wanted, pairs, grads):
-    """Sum a wanted Gaussian's pairs in fixed order: the same result with any number of threads.
-
-    `grads` is zeroed before.
-    """
-    M = order.shape[0]
-    NCH = 64
-    for ch in prange(NCH):
-        for k in range(ch * M // NCH, (ch + 1) * M // NCH):
-            i = order[k]
-            if not wanted[i]:
-                continue
+    """Add each wanted Gaussian's pairs to `grads` in fixed order: the same result with any number of threads."""
+    for k in prange(order.shape[0]):
+        i = order[k]
+        if wanted[i]:
             for q in range(first_pair[k], first_pair[k + 1]):
-                p = slots[q]
                 for c in range(12):
-                    grads[i, c] += pairs[p, c]
+                    grads[i, c] += pairs[slots[q], c]
 
 
 @njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy")
@@ -673,10 +614,9 @@ def project_gradient(scene, camera, flat, vis, wanted, grads, gradients):
     M = vis.shape[0]
     lens = _lens(view, intrinsics, W, H)
     fx, fy = lens[0], lens[1]
-    NCH = 64
-    for ch in prange(NCH):
+    for ch in prange(ROW_CHUNKS):
         basis = np.empty((4, 16), np.float64)
-        for kk in range(ch * M // NCH, (ch + 1) * M // NCH):
+        for kk in range(ch * M // ROW_CHUNKS, (ch + 1) * M // ROW_CHUNKS):
             i = vis[kk]
             if not wanted[i]:
                 continue
@@ -720,18 +660,15 @@ def project_gradient(scene, camera, flat, vis, wanted, grads, gradients):
             gqy = 2 * (-2 * qy * d00 + qx * d01 + w * d02 + qx * d10 + qz * d12 - w * d20 + qz * d21 - 2 * qy * d22)
             gqz = 2 * (-2 * qz * d00 - w * d01 + qx * d02 + w * d10 - 2 * qz * d11 + qy * d12 + qx * d20 + qy * d21)
             dot = gw * w + gqx * qx + gqy * qy + gqz * qz
-            grad_quaternions[i, 0] = (gw - dot * w) * inv
-            grad_quaternions[i, 1] = (gqx - dot * qx) * inv
-            grad_quaternions[i, 2] = (gqy - dot * qy) * inv
-            grad_quaternions[i, 3] = (gqz - dot * qz) * inv
+            along = (gw - dot * w) * inv, (gqx - dot * qx) * inv, (gqy - dot * qy) * inv, (gqz - dot * qz) * inv
+            _put(grad_quaternions, i, along)
             # dT = dM shape^T
             e0 = _dot(a0, shape[0]), _dot(a0, shape[1]), _dot(a0, shape[2])
             e1 = _dot(a1, shape[0]), _dot(a1, shape[1]), _dot(a1, shape[2])
             gj00, gj02 = _dot(e0, view[0]), _dot(e0, view[2])
             gj11, gj12 = _dot(e1, view[1]), _dot(e1, view[2])
             giz = gj00 * fx + gj11 * fy - gj02 * fx * uc - gj12 * fy * vc
-            gu = gmx * fx
-            gv = gmy * fy
+            gu, gv = gmx * fx, gmy * fy
             if u == uc:
                 gu += -gj02 * fx * iz
             if v == vc:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import torch
 
-from airgs_codec.render.cpu import DILATION, FAR, RasterInputs
-from airgs_codec.render.cpu_kernels import MARGIN
+from airgs_codec.render.cpu import DILATION, FAR_PLANE, RasterInputs
+from airgs_codec.render.cpu_kernels import LINEAR_MARGIN
 from airgs_codec.scene.camera import Background, Camera
 from airgs_codec.scene.gaussians import SH_C0
 
@@ -16,7 +16,7 @@ Picture = tuple[torch.Tensor, torch.Tensor]  # rgb (H, W, 3), transmittance (H, 
 
 
 def rotation_matrices(q: torch.Tensor) -> torch.Tensor:
-    """(N, 4) quaternions of any length -> (N, 3, 3); zero gives identity."""
+    """Return rotation matrices (N, 3, 3) of quaternions (N, 4) of any length; zero gives identity."""
     norm = q.norm(dim=-1, keepdim=True)
     identity = torch.tensor([1.0, 0, 0, 0], dtype=q.dtype)
     unit = torch.where(norm > 1e-12, q / torch.where(norm > 1e-12, norm, torch.ones_like(norm)), identity)
@@ -30,7 +30,7 @@ def rotation_matrices(q: torch.Tensor) -> torch.Tensor:
 
 
 def sh_colours(directions: torch.Tensor, sh: torch.Tensor) -> torch.Tensor:
-    """(N, 3) unit directions, (N, K + 1, 3) coefficients -> (N, 3) colours, at least 0."""
+    """Return colours (N, 3), at least 0, of coefficients (N, K + 1, 3) in unit directions (N, 3)."""
     x, y, z = directions.unbind(-1)
     xx, yy, zz = x * x, y * y, z * z
     c1, c2, c3 = 0.4886025119029199, 1.0925484305920792, 0.5900435899266435
@@ -49,7 +49,7 @@ def sh_colours(directions: torch.Tensor, sh: torch.Tensor) -> torch.Tensor:
 def render_reference(
     inputs: RasterInputs[torch.Tensor], camera: Camera, background: Background | None = None
 ) -> Picture:
-    """rgb (H, W, 3) and transmittance (H, W) in the precision of the inputs."""
+    """Draw rgb (H, W, 3) and transmittance (H, W) in the precision of the inputs."""
     weights, transmittance, colours = blending_weights(inputs, camera)
     rgb = weights @ colours + transmittance[:, None] * torch.tensor(
         camera.background if background is None else background, dtype=colours.dtype
@@ -60,12 +60,12 @@ def render_reference(
 def blending_weights(
     inputs: RasterInputs[torch.Tensor], camera: Camera
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """alpha T of every pixel and Gaussian (P, N), final transmittance (P,), colours (N, 3)."""
+    """Return alpha T of every pixel and Gaussian (P, N), final transmittance (P,), colours (N, 3)."""
     means, opacities = inputs.means, inputs.opacities
     view = torch.as_tensor(camera.world_to_camera, dtype=means.dtype)
     rotation, translation = view[:3, :3], view[:3, 3]
     x, y, z = (means @ rotation.T + translation).unbind(-1)
-    drawn = (z > camera.near) & (z < FAR) & (opacities * 255 > 1)
+    drawn = (z > camera.near) & (z < FAR_PLANE) & (opacities * 255 > 1)
     z = torch.where(drawn, z, torch.ones_like(z))
     conic, position = _conics(inputs, torch.stack([x, y, z], -1), camera)
     directions = torch.nn.functional.normalize(means + rotation.T @ translation, dim=-1)
@@ -91,7 +91,7 @@ def _conics(
     rotation = torch.as_tensor(camera.world_to_camera[:3, :3], dtype=places.dtype)
     x, y, z = places.unbind(-1)
     u, v = x / z, y / z
-    margin_x, margin_y = MARGIN * camera.width / camera.fx, MARGIN * camera.height / camera.fy
+    margin_x, margin_y = LINEAR_MARGIN * camera.width / camera.fx, LINEAR_MARGIN * camera.height / camera.fy
     uc = u.clamp(-camera.cx / camera.fx - margin_x, (camera.width - camera.cx) / camera.fx + margin_x)
     vc = v.clamp(-camera.cy / camera.fy - margin_y, (camera.height - camera.cy) / camera.fy + margin_y)
     zero = torch.zeros_like(z)

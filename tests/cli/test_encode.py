@@ -156,7 +156,7 @@ def test_figures_are_said_in_words_or_as_json(asked, capsys):
 
 def test_what_is_told_of_up_and_units_goes_with_the_scene(asked):
     for words, line in (
-        ("--up -y", "up: (0, -1, 0); units: not told"),
+        ("--up -y", "up: (0, -1, 0); units: unknown"),
         ("--up 0,3,4 --unit 0.01", "up: (0, 0.6, 0.8); units: one is 0.01 m"),
         ("--transform world.txt", "up: (0, 0, 1); units: one is 2 m"),
     ):

@@ -181,19 +181,6 @@ def test_a_forked_process_has_threads_of_its_own():
     assert os.waitpid(child, 0)[1] == 0 and (seen == 1).all()
 
 
-def test_memory_that_is_let_go_of_is_given_out_again_and_no_other_while_views_count():
-    memory, shape = kernels.FrameMemory(), (1000, 3)
-    first = memory.empty(shape)
-    place = first.ctypes.data
-    del first
-    assert memory.empty((500, 3)).shape == (500, 3) and memory.empty(shape, np.int32).dtype == np.int32
-    whole, other = memory.empty(shape), memory.empty(shape)
-    assert whole.ctypes.data == place and not np.shares_memory(whole, other)
-    view = whole.reshape(-1, 3, 1)[10:]
-    del whole
-    assert not any(np.shares_memory(view, memory.empty(shape)) for _ in range(3))
-
-
 def test_frames_that_are_kept_stay_as_they_were():
     package = open_package(GOLDEN / "fox")
     kept = [(frame.gaussians, frame.gaussians.means.copy()) for frame in decode_frames(package, 0, 4)]

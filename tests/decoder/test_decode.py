@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.coding import atlas, escapes, kernels, rangecoder
+from airgs_codec.coding import kernels
 from tests import faces
 from tests.faces import ConfigError, decode, decode_canonical, decode_frames, open_package
 from tests.support.paths import GOLDEN, VALID
@@ -78,19 +78,6 @@ def test_how_many_rows_are_decoded_together_changes_nothing(monkeypatch, level):
     assert all(same(a, b) for a, b in zip(*frames, strict=True))
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_compiled_loops_give_the_bits_that_numpy_gives(monkeypatch, case):
-    frames = []
-    for compiled in (lambda loop, numbers: None, lambda loop, numbers: rangecoder._compiled(loop)):
-        for module in (atlas, kernels):
-            monkeypatch.setattr(module, "worth_compiling", compiled)
-        package = open_package(GOLDEN / case)
-        levels, stop = range(len(package.manifest.levels)), package.manifest.frames
-        frames.append([f.gaussians for level in levels for f in decode_frames(package, 0, stop, level=level)])
-    for a, b in zip(*frames, strict=True):
-        assert all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in a.__slots__)
-
-
 BARE = """
 import json, sys
 
@@ -124,24 +111,20 @@ def test_the_goldens_decode_to_the_recorded_codes_with_few_modules_and_no_librar
     assert any(base is not None and base.any() for base in shown.luma[1])
 
 
-@pytest.mark.parametrize(("case", "asked", "segments"), [
-    ("fox", [(0, 0, 0), (0, 0, 0), (-1, 0, 0), (-1, 0, 1), (0, 0, 1), (0, 0, 0)], None),
-    # A segment has two frames: its escapes are read whenever the segment or the level changes.
-    ("room", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (2, 0, 0), (3, 0, 0), (1, 0, 0)], [(0, 0), (0, 1), (1, 0), (0, 0)]),
+@pytest.mark.parametrize(("case", "asked"), [
+    ("fox", [(0, 0, 0), (0, 0, 0), (-1, 0, 0), (-1, 0, 1), (0, 0, 1), (0, 0, 0)]),
+    ("room", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (2, 0, 0), (3, 0, 0), (1, 0, 0)]),
 ])  # fmt: skip
-def test_a_frame_is_that_of_a_fresh_package_whatever_was_decoded_before(monkeypatch, case, asked, segments):
-    """`asked`: frame, level and keyframe quality. Frames may be written to, escapes are read once."""
+def test_a_frame_is_that_of_a_fresh_package_whatever_was_decoded_before(case, asked):
+    """`asked`: frame, level and keyframe quality. Frames may be written to."""
 
     def shown(package, frame, level, quality):
         return decode(package, frame % package.manifest.frames, level=level, keyframe_quality=quality)
 
     fresh = [shown(open_package(GOLDEN / case), *which) for which in asked]
-    package, read, unpack = open_package(GOLDEN / case), [], escapes.unpack_segment
-    monkeypatch.setattr(escapes, "unpack_segment", lambda *arguments: read.append(arguments[-1]) or unpack(*arguments))
+    package = open_package(GOLDEN / case)
     for which, expected in zip(asked, fresh, strict=True):
         got = shown(package, *which)
         assert same(got, expected)
         for name in got.__slots__:
             getattr(got, name)[:] = np.nan
-    if segments:
-        assert read == [file for which in segments for file in package.manifest.delta_files(*which)]

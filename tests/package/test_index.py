@@ -194,7 +194,7 @@ def test_a_frame_is_decoded_from_its_own_tables(tmp_path):
 
 
 def test_tables_that_were_used_long_ago_are_read_again(monkeypatch):
-    monkeypatch.setattr("airgs_codec.package.manifest.KEPT", 2)
+    monkeypatch.setattr("airgs_codec.package.manifest.TABLES_IN_MEMORY", 2)
     m = tiny_manifest(groups=(1, 1, 1))
     read = []
     groups = Groups(m.groups.columns, no_page, lambda n, _: read.append(n) or m.groups[n])

@@ -203,8 +203,8 @@ def test_what_is_told_is_up_at_every_place_and_what_is_not_has_no_field():
 @pytest.mark.parametrize(("up", "name", "line"), [
     ((0, 1, 0), "a.spz", None),
     ((0, -1, 0), "a.ply", None),
-    ((0, -1, 0), "a.glb", "glTF take up: (0, 1, 0); units: one is 1 m; here it is up: (0, -1, 0); units: not told"),
-    (None, "a.spz", ".spz take up: (0, 1, 0); units: not told; here it is up: not told, players take that"),
+    ((0, -1, 0), "a.glb", "glTF take up: (0, 1, 0); units: one is 1 m; here it is up: (0, -1, 0); units: unknown"),
+    (None, "a.spz", ".spz take up: (0, 1, 0); units: unknown; here it is up: unknown, players take that"),
 ])  # fmt: skip
 def test_a_format_that_means_another_up_is_named(package, tmp_path, capsys, up, name, line):
     if up:

@@ -238,7 +238,7 @@ class Live:
 
 def remembered(package, viewer):
     """How many of each thing publisher, tables and player know."""
-    known = {"tables of the publisher": package.manifest.groups._kept, "names": viewer.tables._paths}
+    known = {"tables of the publisher": package.manifest.groups._known, "names": viewer.tables._paths}
     known |= {"keyframes": viewer.decoded(0)}
     known |= {"downloads": viewer.downloads, "timeline": viewer.playout.timeline}
     return {name: len(things) for name, things in known.items()}

@@ -162,7 +162,7 @@ def test_contribution_and_gradients_of_one_pass_are_those_of_two(logit):
     alone, apart = measure_contribution(g, view), blend(active, view, behind)
     np.testing.assert_allclose(seen.total, alone.total, rtol=1e-6)
     assert np.array_equal(seen.peak, alone.peak) and np.array_equal(seen.hits, alone.hits)
-    expected = gradients(apart, pull, np.zeros((50, 70), np.float32)).inputs
+    expected = gradients(apart, pull, np.zeros((50, 70), np.float32))[0]
     for name in NAMES:
         wanted = getattr(expected, name)
         np.testing.assert_allclose(getattr(derivatives, name), wanted, rtol=1e-4, atol=1e-5 * np.abs(wanted).max())
@@ -204,10 +204,10 @@ def test_only_some_tiles_are_drawn_again():
     grad = rng.normal(size=(50, 70, 3)).astype(np.float32) * pixels[..., None]
     none = np.zeros((50, 70), np.float32)
     parts, wholes = (gradients(drawn, grad, none) for drawn in (part, whole))
-    for x, y in zip(parts.inputs, wholes.inputs, strict=True):
+    for x, y in zip(parts[0], wholes[0], strict=True):
         assert np.abs(y[wanted]).max() > 0 and relative(x[wanted], y[wanted]) < 1e-6
         assert not x[~wanted].any()
-    assert relative(parts.absolute[wanted], wholes.absolute[wanted]) < 1e-6
+    assert relative(parts[2][wanted], wholes[2][wanted]) < 1e-6
     assert len(part.projected.slots) < 0.7 * len(whole.projected.slots)
 
 

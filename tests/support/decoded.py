@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import GREY, plane_starts, row_places
-from airgs_codec.decoder.decode import _read_keyframe
+from airgs_codec.decoder.decode import read_keyframe
 from airgs_codec.render import cpu
 from tests.faces import Atlas, Camera, Package, decode_canonical, decode_frames, decode_pictures
 
@@ -119,7 +119,7 @@ class _Writer:
     def _key(self, group: int, tier: int) -> Json | None:
         """The picture of a tier; None where it has none."""
         atlas = self.package.manifest.groups[group].tiers[tier].qualities[self.rung.quality]
-        shown, _ = _read_keyframe(self.package, group, tier, self.rung.quality)
+        shown, _ = read_keyframe(self.package, group, tier, self.rung.quality)
         return None if shown is None else self._picture(shown.luma[0], atlas, _dense(atlas, shown.luma[1]))
 
     def _states(self, index: int) -> list[Json]:

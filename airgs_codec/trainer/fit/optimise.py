@@ -535,12 +535,9 @@ def drawn(variables: Variables, views: Sequence[View], sh_degree: int) -> list[D
     if len(times) == 1:
         cameras, redraws = zip(*((view.camera, view.redraw) for view in views), strict=True)
         return render_views(variables.current(*times), cameras, sh_degree, watched, redraws)
-    parts = [AbsGrad() for _ in views]
-    if watched:
-        watched.collect(parts)
     return [
-        render_views(variables.current(view.after), [view.camera], sh_degree, part, [view.redraw])[0]
-        for view, part in zip(views, parts, strict=True)
+        render_views(variables.current(view.after), [view.camera], sh_degree, watched, [view.redraw])[0]
+        for view in views
     ]
 
 

@@ -28,7 +28,7 @@ def gradients(g: Gaussians, camera: Camera, pull: NDArray[np.float32]) -> list[N
     inputs = cpu.activate(g)
     blended = cpu.blend(inputs, camera, camera.background)
     none = np.zeros(pull.shape[:2], np.float32)
-    return [column.astype(np.float64) for column in cpu.gradients(blended, pull, none).inputs]
+    return [column.astype(np.float64) for column in cpu.gradients(blended, pull, none)[0]]
 
 
 def exact_gradients(g: Gaussians, camera: Camera, pull: NDArray[np.float32]) -> list[NDArray[np.float64]]:
