@@ -82,7 +82,7 @@ def constants() -> dict[ModuleType, dict[str, Any]]:
         escapes: {"ESCAPE_UNIT": escapes.UNIT},
         rangecoder: _same(rangecoder, "RANGE_START", "RANGE_LEAST", "CHANCE_HALF", "CHANCE_LEAST", "END_BYTES")
         | _same(rangecoder, "MODEL_MEMORY", "MODEL_CONTEXTS", "LENGTH_BITS", "MODELLED_BITS"),
-        mp4: {"BOX_HEADER": mp4.HEADER, "OWN_UUID": mp4.OWN.hex()}
+        mp4: {"BOX_HEADER": mp4.HEADER, "OWN_UUID": mp4.OWN_UUID.hex()}
         | {"TRUN": _FLAGS["trun"], "TFHD": _FLAGS["tfhd"]}
         | _same(mp4, "PACKET_TICKS", "SOUND_RATE", "WARM_UP"),
         h264: _same(h264, "DARKEST", "BRIGHTEST"),

@@ -41,7 +41,7 @@ from airgs_codec.package.region import CHECKING, before_background, draw_views
 from airgs_codec.places.whole import atomic_path
 from airgs_codec.render import read_cameras
 from airgs_codec.scene.camera import cameras_from, with_near_planes
-from airgs_codec.scene.formats.table import is_clip
+from airgs_codec.scene.formats.table import clip_format
 
 EVERY, VIEWS = "only every N-th of the frames", "cameras to compare from"
 
@@ -89,7 +89,7 @@ def _open_both(options: Compare) -> tuple[Side, Side]:
     a_is_package, b_is_package = is_package(options.a), is_package(options.b)
     if options.rung is not None and not (a_is_package or b_is_package):
         raise ConfigError("--rung: expected a package, got two scenes")
-    clips = [place for place in (options.a, options.b) if is_clip(Path(place))]
+    clips = [place for place in (options.a, options.b) if clip_format(Path(place))]
     if any(baking.values()) and not clips:
         raise ConfigError(f"--bake-fps, --duration: expected a clip, got {options.a} and {options.b}")
     a = open_side(options.a, None if b_is_package else options.rung, **(baking if options.a in clips else {}))

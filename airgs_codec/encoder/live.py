@@ -29,7 +29,7 @@ from airgs_codec.package.mpd import LiveClock
 from airgs_codec.package.package import Package, write_file
 from airgs_codec.package.publish import GrowingPackage, staged_package
 from airgs_codec.package.tables import Group
-from airgs_codec.places.place import Folder, Memory, Place, place_at
+from airgs_codec.places.place import Folder, Memory, Storage, place_at
 from airgs_codec.places.whole import written_alone
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render.backend import open_renderer
@@ -52,7 +52,7 @@ class PublishedGroup:
 class _Publisher:
     """Folds `encode_group` over the groups of a sequence as they come, and publishes each."""
 
-    def __init__(self, place: Place, attribution: str | None, owner: ExitStack) -> None:
+    def __init__(self, place: Storage, attribution: str | None, owner: ExitStack) -> None:
         """`owner`: holds the package, in which nobody else may write until it is closed."""
         self._place, self._attribution, self._owner = place, attribution, owner
         self._base: Base | None = None
@@ -86,16 +86,15 @@ class _Publisher:
         credit = sequence.attribution if self._attribution is None else self._attribution
         with staged_package(self._place) as stage:
             self._owner.enter_context(written_alone(stage))
-            place = Folder(stage, alone=True)
+            place = Folder(stage)
             for path, data in files.files.items():
                 write_file(place, path, data)
             manifest = finish(place, replace(sequence, credit=credit), plan, [files.table])
             manifest = replace(self._measured(place, manifest, sequence, plan), live=True)
             write_checked(place, manifest, LiveClock(available, datetime.now(UTC)))
-        alone = replace(self._place, alone=True) if isinstance(self._place, Folder) else self._place
-        return GrowingPackage(alone, manifest, available)
+        return GrowingPackage(self._place, manifest, available)
 
-    def _measured(self, place: Place, m: Manifest, sequence: GaussianSequence, plan: Plan) -> Manifest:
+    def _measured(self, place: Storage, m: Manifest, sequence: GaussianSequence, plan: Plan) -> Manifest:
         """The tables with the quality of the newest group, and that of all so far."""
         most, renderer = plan.settings.measure_pictures, open_renderer(plan.settings.device)
         if not most:

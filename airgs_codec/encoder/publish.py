@@ -31,7 +31,7 @@ from airgs_codec.package.package import Package, find_faults, open_files, write_
 from airgs_codec.package.publish import staged_package, write_tables
 from airgs_codec.package.region import first_views
 from airgs_codec.package.tables import MAX_POSTER_BYTES, MAX_POSTER_SIDE, Group
-from airgs_codec.places.place import Folder, Place, place_at
+from airgs_codec.places.place import Folder, Storage, place_at
 from airgs_codec.places.whole import expect_folder_name
 from airgs_codec.progress import Progress, Stopwatch, silent, told
 from airgs_codec.render import Camera
@@ -100,7 +100,7 @@ def encode(
     expect_folder_name(path_argument("path", path), ENDING)
     jobs, sequence = Work.of(executor, work, told(progress)), hold_frames(sequence)
     with staged_package(place_at(path)) as stage, closing(sequence):
-        watch, place = Stopwatch(), Folder(stage, alone=True)
+        watch, place = Stopwatch(), Folder(stage)
         surveys: Surveys = {}
         ordered = order_rows(sequence, settings.rows, jobs.progress)
         if plan is None:
@@ -147,7 +147,7 @@ def content_of(run: Sequence[Frames], plan: Plan) -> list[Any]:
     return [library_versions(), named, spans, first.first_segment, sequence.fps, [sequence.read(n) for n in frames]]
 
 
-def finish(place: Place, sequence: GaussianSequence, plan: Plan, groups: Sequence[Group]) -> Manifest:
+def finish(place: Storage, sequence: GaussianSequence, plan: Plan, groups: Sequence[Group]) -> Manifest:
     """Make the tables of a package whose groups are at a place, and write the files that are no group's."""
     first = first_views(plan.views.region, plan.views.world)[0]
     poster = draw_poster(sequence, 0, first, open_renderer(plan.settings.device))
@@ -161,7 +161,7 @@ def finish(place: Place, sequence: GaussianSequence, plan: Plan, groups: Sequenc
 
 
 def measured(
-    place: Place, m: Manifest, sequence: GaussianSequence, plan: Plan, progress: Progress = silent
+    place: Storage, m: Manifest, sequence: GaussianSequence, plan: Plan, progress: Progress = silent
 ) -> Manifest:
     """Measure a package whose files are at a place, all but its tables, unless the settings say not to."""
     if not plan.settings.measure_pictures:
@@ -183,7 +183,7 @@ def held_to_readers() -> Iterator[None]:
         raise SceneError(f"the package cannot be read back, and is not published: {error}") from error
 
 
-def write_checked(place: Place, manifest: Manifest, clock: LiveClock | None = None) -> int:
+def write_checked(place: Storage, manifest: Manifest, clock: LiveClock | None = None) -> int:
     """Write the tables of a package, whose other files are there; gives the length of tables and manifest.mpd together.
 
     `clock`: of a package that grows. Raises SceneError where what is there then is not what the tables say, or its

@@ -95,7 +95,7 @@ class Side:
 def is_package(scene: Scene | str | Path) -> bool:
     """Return whether a scene, or what a path leads to, is a package. Raises ConfigError, TransportError."""
     if isinstance(scene, str | Path):
-        return place_at(scene).exists(JSON_NAME) if is_address(scene) else Path(scene, JSON_NAME).is_file()
+        return place_at(scene).open(JSON_NAME) is not None if is_address(scene) else Path(scene, JSON_NAME).is_file()
     return isinstance(scene, Package)
 
 

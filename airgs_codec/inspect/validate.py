@@ -21,7 +21,7 @@ from airgs_codec.package.mpd import check_mpd, check_shared, check_sound, still_
 from airgs_codec.package.package import Package, find_file, open_files, read_file
 from airgs_codec.package.parse import MAX_TABLE_BYTES
 from airgs_codec.package.tables import Atlas, file_entry
-from airgs_codec.places.place import Place, place_at
+from airgs_codec.places.place import Storage, place_at
 from airgs_codec.places.whole import finished_path
 from airgs_codec.scene.gaussians import Gaussians
 
@@ -36,7 +36,7 @@ def validate(path: str | Path) -> list[FormatError]:
     return validate_files(place_at(path))
 
 
-def validate_files(files: Place) -> list[FormatError]:
+def validate_files(files: Storage) -> list[FormatError]:
     try:
         package = open_files(files)
     except FormatError as error:

@@ -1,1 +1,1 @@
-"""Images, H.264 in MP4, films, and how alike pictures are. Nothing here knows Gaussians."""
+"""Images, H.264 in MP4, films, and how similar pictures are. Nothing here knows Gaussians."""

@@ -19,19 +19,8 @@ from numpy.typing import NDArray
 
 from airgs_codec._settings import available_cores
 from airgs_codec.errors import CodecError, FormatError
-from airgs_codec.media.mp4 import (
-    LEVEL,
-    PROFILE,
-    CodedPicture,
-    check_boxes,
-    media_segment,
-    read_boxes,
-    read_samples,
-    read_segment,
-    start_codes,
-    units_of,
-    with_own_box,
-)
+from airgs_codec.media import mp4
+from airgs_codec.media.mp4 import CodedPicture
 
 DEFAULT_PRESET = "veryslow"
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo")
@@ -50,15 +39,15 @@ _IDR = 5  # type of the NAL units of an IDR picture
 _SLICES = (1, _IDR)  # of all pictures
 _SEI = 6  # type of the NAL unit in which x264 repeats its version and options in every stream
 _PARAMETERS = [7, 8]  # types of the NAL units of an SPS and of a PPS
-_PROFILES = (66, 77, PROFILE)  # Baseline and Main ask a decoder of High for nothing more
+_PROFILES = (66, 77, mp4.PROFILE)  # Baseline and Main ask a decoder of High for nothing more
 _LEVELS = {  # most macroblocks of a picture, by level
     10: 99, 11: 396, 12: 396, 13: 396, 20: 396, 21: 792, 22: 1620, 30: 1620, 31: 3600, 32: 5120, 40: 8192, 41: 8192,
-    42: 8704, 50: 22_080, LEVEL: 36_864,
+    42: 8704, 50: 22_080, mp4.LEVEL: 36_864,
 }  # fmt: skip
 
 
 def qp_step(qp: int) -> float:
-    """The quantiser step of an H.264 QP in luma levels, 2^((qp - 4) / 6): the gain of an atlas coded at that QP."""
+    """Return the quantiser step of an H.264 QP in luma levels, 2^((qp - 4) / 6): the gain of an atlas of that QP."""
     return float(2.0 ** ((qp - 4) / 6))
 
 
@@ -66,8 +55,8 @@ def qp_step(qp: int) -> float:
 class ClosedGop:
     """Pictures that are decoded together and without any others: one IDR, then P and B.
 
-    Pictures that are taller than those of the stream are coded in pages: their first H lines as such a sequence, then
-    their next H lines as another, and so on.
+    Taller pictures than those of the stream are coded in pages: their first H lines as such a sequence, then their next
+    H lines as another, and so on.
     """
 
     pictures: Iterable[NDArray[np.uint8]]  # (pages * H, W) each; may be iterated over more than once
@@ -88,13 +77,13 @@ class CodedGop:
 
     def pictures(self, where: str) -> Pictures:
         """Return what it decodes to, without the slopes; `where` names it in errors."""
-        samples = read_samples(self.fragment)[self.slopes.pages if self.slopes else 0 :]
+        samples = mp4.read_samples(self.fragment)[self.slopes.pages if self.slopes else 0 :]
         return Pictures(samples, where, self.pages, self.checksums or None)
 
     def media(self, columns: bytes) -> bytes:
-        """The media segment, with a column file."""
+        """Return the media segment, with a column file."""
         slopes = self.slopes.checksums if self.slopes else ()
-        return with_own_box(self.fragment, slopes + self.checksums, columns)
+        return mp4.with_own_box(self.fragment, slopes + self.checksums, columns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,14 +94,13 @@ class CodecSettings:
     between: int = BETWEEN  # B-pictures in a row; 0: every GOP is one picture: nothing is referred to or reordered
 
     def options(self, size: tuple[int, int], rate: Fraction) -> dict[str, str]:
-        """AVOptions for pictures of `size` (width, height), `rate` a second.
+        """Return AVOptions for pictures of `size` (width, height), `rate` a second.
 
-        AQ, psy and mb-tree are off: every sample counts alike. Scene cuts are off: `ClosedGop`s decide the IDRs.
+        AQ, psy and mb-tree are off: every sample counts equally. Scene cuts are off: `ClosedGop`s decide the IDRs.
         Deblocking is off: neighbours in a plane are near in space, not parts of a smooth picture (+0.1 dB on the fox).
-        Nothing moves across a plane, so that a wide search for motion finds chance. Deltas of the fox took 4 % fewer
-        bytes at equal error with these searches, references and B-pictures than with the preset's.
-        x264 writes into the SPS how many pictures it reorders and refers to, and derives the level from that. Where it
-        would come to more than 5.1 it is told 5.1, which leaves as many reference pictures as that allows.
+        Nothing moves across a plane, so a wide search for motion finds chance: with these searches, references and
+        B-pictures, deltas of the fox took 4 % fewer bytes at equal error than with the preset's. x264 derives the level
+        from the pictures that it reorders and refers to; above 5.1 it is set to 5.1, which limits the references.
         """
         references = _MOST_REFERENCES if self.between else 1
         macroblocks = -(-size[0] // 16) * -(-size[1] // 16)
@@ -127,27 +115,27 @@ class CodecSettings:
 
 
 def keyframe_codec(preset: str) -> CodecSettings:
-    """The settings of keyframe pictures at an x264 preset."""
     return CodecSettings(KEYFRAME_QP, 1.0, preset, between=0)
 
 
 def delta_codec(preset: str) -> CodecSettings:
-    """The settings of delta pictures at an x264 preset."""
     return CodecSettings(DELTA_QP, DELTA_PB_RATIO, preset)
 
 
 def encode_gop(gop: ClosedGop, size: tuple[int, int], rate: Fraction, settings: CodecSettings) -> CodedGop:
-    """Code a closed GOP as pictures of `size` = (width, height).
+    """Return a closed GOP coded as pictures of `size` (width, height), parameter sets in front of every IDR.
 
-    `rate`: pictures a second, from which x264 derives the level. Parameter sets stand in front of every IDR.
-
-    Raises CodecError when FFmpeg refuses or loses a picture.
+    `rate`: pictures a second, for the level. Raises CodecError when FFmpeg refuses or loses a picture.
     """
     coded: list[CodedPicture] = []
-    front = read_samples(gop.slopes.fragment) if gop.slopes else ()
+    front = mp4.read_samples(gop.slopes.fragment) if gop.slopes else ()
     number = len(front)
     try:
-        encoder = _open_encoder(size, rate, settings)
+        encoder = av.CodecContext.create("libx264", "w")
+        assert isinstance(encoder, av.VideoCodecContext)
+        encoder.width, encoder.height, encoder.pix_fmt, encoder.color_range = *size, "yuv420p", FULL_RANGE
+        encoder.framerate, encoder.time_base, encoder.options = rate, 1 / rate, settings.options(size, rate)
+        encoder.thread_count = 1
         lines = len(next(iter(gop.pictures)))
         for top in range(0, lines, size[1]):
             for place, picture in enumerate(gop.pictures):
@@ -169,19 +157,7 @@ def encode_gop(gop: ClosedGop, size: tuple[int, int], rate: Fraction, settings: 
     if gop.slopes:
         frame_bytes[0] += gop.slopes.picture_bytes[0]
     coded = [CodedPicture(data, place, len(data), idr=True) for place, data in enumerate(front)] + coded
-    return CodedGop(media_segment(coded, gop.start, gop.ticks, len(front)), pages, frame_bytes, slopes=gop.slopes)
-
-
-def _open_encoder(size: tuple[int, int], rate: Fraction, settings: CodecSettings) -> av.VideoCodecContext:
-    """x264, whose time counts pictures."""
-    context = av.CodecContext.create("libx264", "w")
-    assert isinstance(context, av.VideoCodecContext)
-    context.width, context.height, context.pix_fmt = *size, "yuv420p"
-    context.color_range = FULL_RANGE
-    context.framerate, context.time_base = rate, 1 / rate
-    context.options = settings.options(size, rate)
-    context.thread_count = 1
-    return context
+    return CodedGop(mp4.media_segment(coded, gop.start, gop.ticks, len(front)), pages, frame_bytes, slopes=gop.slopes)
 
 
 def _coded(packet: av.Packet) -> CodedPicture:
@@ -193,13 +169,12 @@ def _coded(packet: av.Packet) -> CodedPicture:
 
 
 def units_without_sei(stream: bytes) -> list[bytes]:
-    """The NAL units of a byte stream (ISO/IEC 14496-10, Annex B) but for SEI; none of them ends in a zero byte."""
+    """Return the NAL units of a byte stream (ISO/IEC 14496-10, Annex B) but SEI; none of them ends in a zero byte."""
     units = [unit.rstrip(b"\0") for unit in stream.split(b"\0\0\1")[1:]]
     return [unit for unit in units if unit[0] & 31 != _SEI]
 
 
 def _frame(picture: NDArray[np.uint8]) -> av.VideoFrame:
-    """An (H, W) picture as luma, with chroma 128."""
     height, width = picture.shape
     frame = av.VideoFrame(width, height, "yuv420p")
     luma = np.frombuffer(memoryview(frame.planes[0]), np.uint8).reshape(-1, frame.planes[0].line_size)
@@ -218,16 +193,16 @@ class Pictures:
     memory: Callable[[tuple[int, int], type], NDArray[np.uint8]] = np.empty  # that pictures of several pages are in
 
     def cut(self) -> tuple[Pictures, Pictures]:
-        """The first picture, of which all pages stand in front, and the others."""
+        """Return the first picture, of which all pages are in front, and the others."""
         samples, known, pages = self.samples, self.checksums or (), self.pages
         first = replace(self, samples=samples[:pages], checksums=known[:pages])
         return first, replace(self, samples=samples[pages:], checksums=known[pages:])
 
     def __iter__(self) -> Iterator[NDArray[np.uint8]]:
-        """(pages * H, W) luma of each picture in display order: its pages one below another; stop to stop decoding.
+        """Yield (pages * H, W) luma of each picture in display order, its pages one below another.
 
-        Pages are decoded side by side. Raises FormatError(bad_picture) when the bytes do not decode, luma differs from
-        its checksum, or pages differ.
+        Pages are decoded in parallel. Raises FormatError(bad_picture) when the bytes do not decode, or luma differs
+        from its checksum or pages in size.
         """
         if self.pages == 1:
             yield from self._decode_page(0, len(self.samples))
@@ -248,7 +223,6 @@ class Pictures:
                 yield np.concatenate(parts, out=out)
 
     def _decode_page(self, first: int, length: int) -> Iterator[NDArray[np.uint8]]:
-        """(H, W) luma of each picture of the page with these samples."""
         checksums = None if self.checksums is None else self.checksums[first:][:length]
         for number, frame in enumerate(_decode(self.samples[first:][:length], self.where)):
             luma = _luma(frame, self.where)
@@ -258,12 +232,12 @@ class Pictures:
 
 
 def _decode(samples: Sequence[bytes], where: str) -> Iterator[av.VideoFrame]:
-    """Each picture in display order; its `pts` is the place of its sample. Raises FormatError(bad_picture)."""
+    """Yield each picture in display order; its `pts` is the place of its sample. Raises FormatError(bad_picture)."""
     try:
         context = av.CodecContext.create("h264", "r")
         context.thread_count = 1
         for number, sample in enumerate([*samples, None]):
-            packet = None if sample is None else av.Packet(start_codes(sample))
+            packet = None if sample is None else av.Packet(mp4.start_codes(sample))
             if packet:
                 packet.pts = number
             yield from context.decode(packet)
@@ -272,12 +246,9 @@ def _decode(samples: Sequence[bytes], where: str) -> Iterator[av.VideoFrame]:
 
 
 def open_segment(media: bytes, where: str, pages: int = 1) -> tuple[bytes | None, Pictures]:
-    """The column file of a media segment, if it has one, and its pictures.
-
-    Raises FormatError(bad_picture) when it is no segment.
-    """
+    """Return the column file of a media segment, if it has one, and its pictures. Raises FormatError(bad_picture)."""
     try:
-        segment = read_segment(media)
+        segment = mp4.read_segment(media)
     except CodecError as error:
         raise FormatError("bad_picture", where, f"expected H.264 in fragmented MP4: {error}") from error
     return segment.columns, Pictures(segment.samples, where, pages, segment.checksums)
@@ -286,29 +257,29 @@ def open_segment(media: bytes, where: str, pages: int = 1) -> tuple[bytes | None
 def check_segment(media: bytes, where: str, start: int, ticks: int, pages: int, slopes: bool) -> None:
     """Raise FormatError(bad_picture) unless a media segment is built as `encode_gop` builds it, and plays anywhere.
 
-    Pictures have `pages`, begin at `start` and last `ticks` each; one of `slopes` may stand in front of them.
+    Pictures have `pages`, begin at `start` and last `ticks` each; one of `slopes` may precede them.
     """
     try:
-        coded = _read_coded(read_segment(media).samples, where)
+        coded = _read_coded(mp4.read_segment(media).samples, where)
         frames = len(coded) // pages - slopes
         begins = [*range(pages * slopes), *range(pages * slopes, len(coded), frames)]
         if [place for place, picture in enumerate(coded) if picture.idr] != begins:
             raise CodecError(f"expected IDR pictures as the samples {begins[:8]} alone")
-        _, *fragment = (whole for _, whole in read_boxes(media))
-        check_boxes(media_segment(coded, start, ticks, pages * slopes), b"".join(fragment))
+        _, *fragment = (whole for _, whole in mp4.read_boxes(media))
+        mp4.check_boxes(mp4.media_segment(coded, start, ticks, pages * slopes), b"".join(fragment))
     except CodecError as error:
         raise FormatError("bad_picture", where, str(error)) from error
 
 
 def _read_coded(samples: Sequence[bytes], where: str) -> list[CodedPicture]:
-    """The samples of a segment with their places in display order, as a decoder finds them, whatever boxes say.
+    """Return the samples of a segment with their places in display order by decoding, whatever boxes say.
 
     Raises CodecError for what is neither a slice nor a parameter set, and for those that some decoder refuses.
     """
     shown = {frame.pts: (number, frame) for number, frame in enumerate(_decode(samples, where))}
     coded = []
     for place, sample in enumerate(samples):
-        units = units_of(sample)
+        units = mp4.units_of(sample)
         kinds = [unit[0] & 31 for unit in units]
         idr = _IDR in kinds
         front = _PARAMETERS if idr else []
@@ -321,16 +292,18 @@ def _read_coded(samples: Sequence[bytes], where: str) -> list[CodedPicture]:
         number, frame = shown[place]
         if frame.color_range != FULL_RANGE:
             raise CodecError(f"sample {place}: expected samples of full range")
-        _, profile, _, level = units[0][:4].ljust(4) if idr else (0, PROFILE, 0, LEVEL)
+        _, profile, _, level = units[0][:4].ljust(4) if idr else (0, mp4.PROFILE, 0, mp4.LEVEL)
         if profile not in _PROFILES or _LEVELS.get(level, 0) * 256 < frame.width * frame.height:
-            expected = f"expected a profile of {_PROFILES} and a level up to {LEVEL} for {frame.width}x{frame.height}"
+            expected = (
+                f"expected a profile of {_PROFILES} and a level up to {mp4.LEVEL} for {frame.width}x{frame.height}"
+            )
             raise CodecError(f"sample {place}: {expected}, got {profile} and {level}")
         coded.append(CodedPicture(sample, number, len(sample), idr))
     return coded
 
 
 def _luma(frame: av.VideoFrame, where: str) -> NDArray[np.uint8]:
-    """(H, W) luma of a picture, without gaps between lines. Raises FormatError(bad_picture)."""
+    """Return (H, W) luma of a picture without padding. Raises FormatError(bad_picture)."""
     if frame.format.name not in ("yuv420p", "yuvj420p"):
         raise FormatError("bad_picture", where, f"expected 8-bit 4:2:0, got {frame.format.name}")
     plane = frame.planes[0]
@@ -339,24 +312,22 @@ def _luma(frame: av.VideoFrame, where: str) -> NDArray[np.uint8]:
 
 
 def in_range(picture: NDArray[np.uint8]) -> bool:
-    """Whether every sample of decoded luma lies within DARKEST and BRIGHTEST."""
+    """Return whether every sample of decoded luma lies within DARKEST and BRIGHTEST."""
     return bool(picture.min() >= DARKEST and picture.max() <= BRIGHTEST)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DecodedGop:
-    """What became of the pictures of a closed GOP."""
-
     difference: NDArray[np.uint8]  # (pages * H, W) largest of any picture, luma levels
     in_range: bool  # see `in_range`; all samples count, also those that carry nothing
     checksums: tuple[int, ...]  # see `Pictures`
 
 
 def check_gop(coded: CodedGop, gop: ClosedGop, settings: CodecSettings) -> DecodedGop:
-    """Decode what was encoded and compare it with the pictures it was made of, before anything is published.
+    """Decode what was encoded and compare it with the pictures it was made of. Raises CodecError.
 
     Encoders have returned wrong pixels at odd sizes: the root mean square error over a GOP was measured at 0.3 steps of
-    its QP; a whole step means that something else was decoded. Raises CodecError.
+    its QP; a whole step means that something else was decoded.
     """
     where = f"the segment at {gop.start} ticks"
     squared: list[float] = []
@@ -377,5 +348,5 @@ def check_gop(coded: CodedGop, gop: ClosedGop, settings: CodecSettings) -> Decod
 
 
 def library_versions() -> dict[str, str]:
-    """Versions of PyAV and the FFmpeg libraries, which decide the encoder's bytes."""
+    """Return versions of PyAV and the FFmpeg libraries, which decide the encoder's bytes."""
     return {"av": av.__version__, **{name: ".".join(map(str, v)) for name, v in av.library_versions.items()}}

@@ -20,7 +20,7 @@ from airgs_codec.places.whole import atomic_path
 Value = TypeVar("Value")
 
 WIDEST = np.radians(120)  # along the longer side of undistorted pictures
-NARROWER = np.geomspace(1, 32, 64)  # focal lengths that are tried from there on, in its own
+NARROWER = np.geomspace(1, 32, 64)  # factors of the focal length that are tried
 LEAST_USED = 0.25  # pixels of a taken picture for one of the undistorted, along a line through its middle
 SLACK = 0.01  # of a side, by which OpenCV's estimates of what was seen err
 LOOKED_AT = 48  # places along a side, at which a lens is tried
@@ -31,22 +31,19 @@ _FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM", "GIF", "JPEG2000", "AVI
 
 
 def to_bytes(rgb: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """(H, W, 3) RGB of [0, 1] -> 8 bit; what lies outside is shown at the nearer bound, as a screen does."""
+    """Return (H, W, 3) RGB of [0, 1] as 8 bit; what lies outside is shown at the nearer bound, as a screen does."""
     return np.rint(np.clip(rgb, 0, 1) * 255).astype(np.uint8)
 
 
 def to_floats(samples: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """8-bit samples of any shape -> [0, 1]."""
     return samples.astype(np.float32) / np.float32(255)
 
 
 def encode_png(rgb: NDArray[np.uint8]) -> bytes:
-    """(H, W, 3) RGB as PNG."""
     return bytes(cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))[1])
 
 
 def write_png(path: Path, rgb: NDArray[np.uint8]) -> None:
-    """Write (H, W, 3) RGB as PNG."""
     path.write_bytes(encode_png(rgb))
 
 
@@ -71,19 +68,19 @@ def encode_jpeg(rgb: NDArray[np.uint8], quality: int) -> bytes:
 def read_picture(path: Path, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
     """Read (H, W, 3) RGB of 8 bits, or (H, W, 4) where the file has alpha; of 16 bits the upper 8 are used.
 
-    Raises SceneError when the file is not a picture of 8 or 16 bits and of `size` = (width, height), None for any. The
-    header tells the size: pixels of another one, or more of them than Pillow takes for a picture, are not decoded.
+    Raises SceneError when the file is not a picture of 8 or 16 bits and of `size` = (width, height), None for any, by
+    its header, or has more pixels than Pillow takes for a picture.
     """
     return _read(path, size, _samples)
 
 
 def check_picture(path: Path, size: tuple[int, int]) -> None:
-    """Read the header of a picture alone. Raises SceneError where `read_picture` would by what that says."""
+    """Raise SceneError where `read_picture` would by the header alone."""
     _read(path, size, lambda picture: None)
 
 
 def _read(path: Path, size: tuple[int, int] | None, take: Callable[[Image.Image], Value]) -> Value:
-    """What `take` gives of a picture of a size; errors are those of `read_picture`."""
+    """Return what `take` gives of a picture of a size; errors are those of `read_picture`."""
     try:
         if not path.is_file():  # opening a pipe would wait
             raise ValueError("No such file")
@@ -101,7 +98,7 @@ def _read(path: Path, size: tuple[int, int] | None, take: Callable[[Image.Image]
 
 
 def is_turned(path: Path) -> bool:
-    """Whether the header of a picture says that it is shown turned, which `read_picture` leaves as it is stored."""
+    """Return whether the header of a picture says that it is shown turned, which `read_picture` does not do."""
     try:
         return _read(path, None, lambda picture: "exif" in picture.info and picture.getexif().get(ORIENTATION, 1) != 1)
     except SceneError:
@@ -109,7 +106,6 @@ def is_turned(path: Path) -> bool:
 
 
 def _samples(picture: Image.Image) -> NDArray[np.uint8]:
-    """(H, W, 3) or (H, W, 4). Raises ValueError where they are not of 8 or 16 bits."""
     if picture.mode.startswith("I;16"):
         return np.repeat((np.asarray(picture) >> 8).astype(np.uint8)[..., None], 3, axis=2)
     if picture.mode in ("I", "F"):
@@ -117,15 +113,16 @@ def _samples(picture: Image.Image) -> NDArray[np.uint8]:
     return np.asarray(picture.convert("RGBA" if picture.has_transparency_data else "RGB"))
 
 
-def decode_rgba(data: bytes, form: str, most: float = np.inf) -> NDArray[np.uint8]:
-    """(H, W, 4) samples of a picture in Pillow's format `form`, of up to `most` pixels a side.
+def decode_rgba(data: bytes, form: str, most: float = np.inf, most_pixels: float = np.inf) -> NDArray[np.uint8]:
+    """Decode (H, W, 4) samples of a picture in Pillow's format `form`, up to `most` pixels a side and `most_pixels`.
 
     Those of lossless WebP are exactly as they are stored. Raises ValueError for what is broken, or larger.
     """
     try:
         with Image.open(io.BytesIO(data), formats=(form,)) as picture:
-            if max(picture.size) > most:
-                raise ValueError(f"at most {most} pixels a side, got {picture.size[0]}x{picture.size[1]}")
+            if max(picture.size) > most or picture.size[0] * picture.size[1] > most_pixels:
+                expected = f"{most} pixels a side" if most < np.inf else f"{most_pixels} pixels"
+                raise ValueError(f"at most {expected}, got {picture.size[0]}x{picture.size[1]}")
             return np.asarray(picture.convert("RGBA"))
     except UnidentifiedImageError as error:
         raise ValueError("got something else") from error
@@ -134,15 +131,12 @@ def decode_rgba(data: bytes, form: str, most: float = np.inf) -> NDArray[np.uint
 
 
 def read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.float32]:
-    """Read (H, W) of 0 and 1 from a picture: 1 where it is not black.
-
-    Raises SceneError when the file is not a picture of `size` = (width, height).
-    """
+    """Read (H, W) of 0 and 1 from a picture of `size` (width, height): 1 where it is not black. Raises SceneError."""
     return np.any(read_picture(path, size)[..., :3], axis=2).astype(np.float32)
 
 
 def label(rgb: NDArray[np.uint8], text: str, line: int = 0) -> NDArray[np.uint8]:
-    """A copy of (H, W, 3) 8-bit RGB with white text on a dark band: line 0 is at the top."""
+    """Return a copy of (H, W, 3) 8-bit RGB with white text on a dark band: line 0 is at the top."""
     out = rgb.copy()
     top = 18 * line
     out[top : top + 18] //= 3
@@ -153,10 +147,7 @@ def label(rgb: NDArray[np.uint8], text: str, line: int = 0) -> NDArray[np.uint8]
 def contact_sheet(
     pictures: Sequence[NDArray[np.uint8]], captions: Sequence[str], columns: int = 4
 ) -> NDArray[np.uint8]:
-    """Pictures (H, W, 3) of one size, 8-bit RGB, each under its caption, `columns` beside each other on black.
-
-    Captions may have several lines. Raises ValueError without a picture, or where their sizes or numbers differ.
-    """
+    """Return pictures (H, W, 3) of one size, 8-bit RGB, under captions of some lines, `columns` in a row, on black."""
     tiles = []
     for picture, caption in zip(pictures, captions, strict=True):
         for line, text in enumerate(caption.splitlines()):
@@ -169,16 +160,13 @@ def contact_sheet(
 
 
 def blur(picture: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(H, W, 3) filtered by a 1-D kernel in both directions; borders are mirrored."""
+    """Return (H, W, 3) filtered by a 1-D kernel in both directions; borders are mirrored."""
     return cv2.sepFilter2D(picture, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT_101).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lens:
-    """A camera with distortion, and the pinhole camera that its pictures are resampled for.
-
-    Matrices are in pixels, with the centre of the first pixel at (0.5, 0.5), as `scene.camera` has it.
-    """
+    """A camera with distortion, and the pinhole camera that its pictures are resampled for; matrices in pixels."""
 
     size: tuple[int, int]  # width, height
     matrix: NDArray[np.float64]  # (3, 3) intrinsics of the real camera
@@ -188,9 +176,7 @@ class Lens:
     cut: bool = False  # whether it shows less than could be undistorted
 
     def maps(self, size: tuple[int, int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Where OpenCV finds each pixel of the undistorted picture, at this (width, height), in the taken one: x and
-        y, (H, W) each.
-        """
+        """Return x and y, (H, W) each, in the taken picture of pixels of the undistorted one at a (width, height)."""
         scale = np.diag([size[0] / self.size[0], size[1] / self.size[1], 1])
         given = self.matrix - TO_CENTRES, self.coefficients, np.eye(3), scale @ self.pinhole - TO_CENTRES
         make = cv2.fisheye.initUndistortRectifyMap if self.fisheye else cv2.initUndistortRectifyMap
@@ -198,9 +184,7 @@ class Lens:
         return np.asarray(x, np.float32), np.asarray(y, np.float32)
 
     def sees(self) -> bool:
-        """Whether the taken picture has each pixel of the undistorted one, as its neighbours' neighbour, and shows
-        enough there.
-        """
+        """Return whether the taken picture has all pixels of the undistorted one in order, and enough of them."""
         (width, height), (x, y) = self.size, self.maps((LOOKED_AT, LOOKED_AT))
         (down_x, along_x), (down_y, along_y) = np.gradient(x), np.gradient(y)
         areas = (along_x * down_y - down_x * along_y) * LOOKED_AT**2 / (width * height)
@@ -212,11 +196,10 @@ class Lens:
 def fit_lens(
     size: tuple[int, int], matrix: NDArray[np.float64], coefficients: NDArray[np.float64], fisheye: bool = False
 ) -> Lens:
-    """The lens whose pinhole camera is the widest of the same size all of whose pixels the real camera saw.
+    """Return the lens whose pinhole camera is the widest of the same size all of whose pixels the real camera saw.
 
-    It sees WIDEST at most: towards 180 degrees a pinhole camera would show next to nothing in its middle. It ends, too,
-    where the lens would show something twice. `size` is (width, height), `matrix` (3, 3), `coefficients` are OpenCV's
-    of the model. Raises ValueError where no such camera sees anything.
+    It sees WIDEST at most, and ends where the lens would show something twice. `size` is (width, height), `matrix`
+    (3, 3), `coefficients` are OpenCV's of the model. Raises ValueError where no such camera sees anything.
     """
     given = matrix - TO_CENTRES, coefficients
     middle = np.array([[[size[0] / 2, size[1] / 2]]]) - 0.5
@@ -240,27 +223,26 @@ def fit_lens(
 
 
 def undistort(picture: NDArray[np.float32], lens: Lens) -> NDArray[np.float32]:
-    """(H, W, C) resampled to what the pinhole camera of `lens` would have seen."""
+    """Return (H, W, C) resampled to what the pinhole camera of `lens` would have seen."""
     return np.asarray(cv2.remap(picture, *lens.maps(lens.size), cv2.INTER_LINEAR), np.float32)
 
 
 def resize(picture: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
-    """(H, W, C) at another size in pixels; where it shrinks, pixels are averaged over their area."""
+    """Return (H, W, C) at another size in pixels; where it shrinks, pixels are averaged over their area."""
     if picture.shape[1::-1] == (width, height):
         return picture
     return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
 
 def box_mean(values: NDArray[np.float32], size: int) -> NDArray[np.float32]:
-    """(H, W) means over `size` x `size` pixels around each; borders are mirrored."""
+    """Return (H, W) means over `size` x `size` pixels around each; borders are mirrored."""
     return np.asarray(cv2.blur(values, (size, size), borderType=cv2.BORDER_REFLECT_101), np.float32)
 
 
 def sift(picture: NDArray[np.float32], most: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """The F <= `most` strongest SIFT features (Lowe 2004) of (H, W, 3) RGB of [0, 1].
+    """Find the F <= `most` strongest SIFT features (Lowe 2004) of (H, W, 3) RGB of [0, 1].
 
-    Gives positions (F, 2) in pixels, x first, with the centre of the first pixel at (0.5, 0.5), and descriptors
-    (F, 128).
+    Returns positions (F, 2) in pixels, x first, the first pixel's centre at (0.5, 0.5), and descriptors (F, 128).
     """
     grey = cv2.cvtColor(to_bytes(picture), cv2.COLOR_RGB2GRAY)
     found, descriptors = cv2.SIFT.create(nfeatures=most).detectAndCompute(grey, None)
@@ -270,9 +252,9 @@ def sift(picture: NDArray[np.float32], most: int) -> tuple[NDArray[np.float64], 
 
 
 def match_features(a: NDArray[np.float32], b: NDArray[np.float32], ratio: float) -> NDArray[np.intp]:
-    """(M, 2) pairs of rows of descriptors `a` (A, 128) and `b` (B, 128) that are each other's nearest.
+    """Return (M, 2) pairs of rows of descriptors `a` (A, 128) and `b` (B, 128) that are each other's nearest.
 
-    A pair counts only where the second nearest is further by 1 / `ratio` on both sides (Lowe's ratio test).
+    The second nearest must be further by 1 / `ratio` on both sides (Lowe's ratio test).
     """
     if len(a) < 2 or len(b) < 2:
         return np.empty((0, 2), np.intp)
@@ -282,5 +264,5 @@ def match_features(a: NDArray[np.float32], b: NDArray[np.float32], ratio: float)
         pairs = matcher.knnMatch(x, y, k=2)
         return {p.queryIdx: p.trainIdx for p, second in pairs if p.distance < ratio * second.distance}
 
-    there, back = nearest(a, b), nearest(b, a)
-    return np.array([(i, j) for i, j in there.items() if back.get(j) == i], np.intp).reshape(-1, 2)
+    forward, back = nearest(a, b), nearest(b, a)
+    return np.array([(i, j) for i, j in forward.items() if back.get(j) == i], np.intp).reshape(-1, 2)

@@ -24,51 +24,37 @@ MOST_COLOURS = 2048  # pixels whose colours are compared; all of 320x320 take tw
 _WINDOW = np.exp(-(np.arange(-5, 6) ** 2) / (2 * 1.5**2))  # Wang et al. 2004: 11x11, Gaussian
 _WINDOW = (_WINDOW / _WINDOW.sum()).astype(np.float32)
 _C1, _C2 = 0.01**2, 0.03**2  # same paper, K1 and K2 for a range of 1
-LOW = 0.05  # the quantile of pictures that stands beside their mean
+LOW = 0.05  # the quantile of pictures that is given next to their mean
 SMALL = 0.01  # change of a sample by which the metric of colours is taken, and what is black
 _LOADING = threading.Lock()  # filters of warnings and print options are those of all threads
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture as a screen shows it.
-
-    What comparing it takes is computed when it is first asked for and held for further comparisons: twice the memory of
-    the picture for SSIM, next to nothing for the others.
-    """
+    """A picture as a screen shows it. What comparing it takes is computed once: for SSIM twice its memory."""
 
     rgb: Floats  # (H, W, 3) within [0, 1]
 
     @staticmethod
     def of(rgb: Floats) -> Picture:
-        """(H, W, 3) samples, of which those outside [0, 1] become the nearest end."""
+        """Return a picture of (H, W, 3) samples, of which those outside [0, 1] become the nearest end."""
         return Picture(np.clip(rgb, 0, 1))
 
     def mse(self, other: Picture) -> float:
-        """Mean squared error of another picture over pixels and channels, summed in float64."""
+        """Return the mean squared error of another picture over pixels and channels, summed in float64."""
         d = (self.rgb - other.rgb).ravel()
         return float(np.einsum("i,i->", d, d, dtype=np.float64)) / d.size
 
     def ssim(self, other: Picture) -> float:
-        """Mean SSIM of another picture over pixels and channels (Wang et al. 2004, eq. 13), borders mirrored."""
-        # (2 m m' + C1) (2 (product - m m') + C2) / ((m^2 + m'^2 + C1) (v + v' + C2)), in place
-        top, product = self._mean * other._mean, _blur(self.rgb * other.rgb)
-        top *= 2
-        product *= 2
-        product -= top
-        product += _C2
-        top += _C1
-        top *= product
-        below, spread = other._mean * other._mean, self._variance + _C2
-        below += self._mean * self._mean
-        below += _C1
-        spread += other._variance
-        below *= spread
-        top /= below
-        return float(np.mean(top, dtype=np.float64))
+        """Return the mean SSIM over pixels and channels (Wang et al. 2004, eq. 13), borders mirrored."""
+        product, covariance = self._mean * other._mean, _blur(self.rgb * other.rgb)
+        covariance -= product
+        means, spread = other._mean * other._mean + self._mean * self._mean, self._variance + other._variance
+        likeness = (2 * product + _C1) * (2 * covariance + _C2) / ((means + _C1) * (spread + _C2))
+        return float(np.mean(likeness, dtype=np.float64))
 
     def delta_e(self, other: Picture) -> float:
-        """Mean CIEDE2000 difference (Sharma et al. 2005) of another picture; about 1 is just noticeable.
+        """Return the mean CIEDE2000 difference (Sharma et al. 2005) of another picture; about 1 is just noticeable.
 
         Over every s-th pixel of every s-th row from the first on, s = ceil(sqrt(H W / MOST_COLOURS)): evenly spread,
         and at most about MOST_COLOURS.
@@ -77,24 +63,19 @@ class Picture:
 
     @cached_property
     def _mean(self) -> Floats:
-        """(H, W, 3) of the window around each pixel."""
         return _blur(self.rgb)
 
     @cached_property
     def _variance(self) -> Floats:
-        """(H, W, 3) of the window around each pixel."""
-        variance = _blur(self.rgb * self.rgb)
-        variance -= self._mean * self._mean
-        return variance
+        return _blur(self.rgb * self.rgb) - self._mean * self._mean
 
     @cached_property
     def _lab(self) -> NDArray[np.float64]:
-        """(h, w, 3) CIE Lab of the pixels whose colours are compared."""
         return to_lab(self.sampled)
 
     @property
     def sampled(self) -> NDArray[np.float64]:
-        """(h, w, 3) the pixels whose colours are compared."""
+        """The (h, w, 3) pixels whose colours are compared."""
         height, width, _ = self.rgb.shape
         stride = math.ceil(math.sqrt(height * width / MOST_COLOURS))
         return self.rgb[::stride, ::stride].astype(np.float64)
@@ -107,11 +88,11 @@ class Difference:
     mse: float  # mean squared error over pixels and channels
     ssim: float | None  # mean over pixels and channels; None: not compared
     delta_e: float | None  # CIEDE2000, mean over pixels; None: not compared
-    blank: bool = False  # both are the same colour all over: they show nothing, and tell nothing
+    blank: bool = False  # both are the same colour all over: they show nothing
 
     @staticmethod
     def of(reference: Picture, shown: Picture) -> Difference:
-        """Every figure of two pictures of one size."""
+        """Return every figure of two pictures of one size."""
         error, blank = reference.mse(shown), bool((reference.rgb == shown.rgb[0, 0]).all())
         return Difference(error, reference.ssim(shown), reference.delta_e(shown), blank and error == 0)
 
@@ -127,7 +108,7 @@ class Quality:
 
 
 def pool(differences: Sequence[Difference]) -> Quality:
-    """The quality of all of some pictures together, at least one: of those that show something, if any does."""
+    """Return the quality of all pictures together, at least one: of those that show something, if any does."""
     differences = [d for d in differences if not d.blank] or differences
     squared = [d.mse for d in differences]
     ssim, delta_e = (float(np.mean([getattr(d, name) for d in differences])) for name in ("ssim", "delta_e"))
@@ -135,34 +116,32 @@ def pool(differences: Sequence[Difference]) -> Quality:
 
 
 def low_psnr(squared: Sequence[float]) -> float:
-    """Find the quantile LOW of the PSNR, in dB, of pictures with these mean squared errors."""
+    """Return the quantile LOW of the PSNR, in dB, of pictures with these mean squared errors."""
     return float(np.quantile([psnr(error) for error in squared], LOW))
 
 
 def mse(a: Floats, b: Floats) -> float:
-    """Mean squared error of two pictures over pixels and channels, as a screen shows them."""
+    """Return the mean squared error of two pictures over pixels and channels, as a screen shows them."""
     return Picture.of(a).mse(Picture.of(b))
 
 
 def psnr(mean_squared_error: float) -> float:
-    """PSNR in dB of samples in 0..1, at most PSNR_CAP. For many pictures take the mean of their errors first."""
+    """Return the PSNR in dB of samples in 0..1, at most PSNR_CAP. Of many pictures, give the mean of their errors."""
     return PSNR_CAP if mean_squared_error <= squared_error(PSNR_CAP) else -10 * math.log10(mean_squared_error)
 
 
 def squared_error(decibels: float) -> float:
-    """The mean squared error of a PSNR."""
     return 10 ** (-decibels / 10)
 
 
 def _blur(picture: Floats) -> Floats:
-    """(H, W, 3) means over the window around each pixel."""
     from airgs_codec.media.image import blur
 
     return blur(picture, _WINDOW)
 
 
 def to_lab(rgb: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(..., 3) colours as CIE Lab."""
+    """Return (..., 3) colours as CIE Lab."""
     _load()
     from colour import XYZ_to_Lab, sRGB_to_XYZ
 
@@ -170,7 +149,7 @@ def to_lab(rgb: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def delta_e(reference: NDArray[np.float64], shown: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(...) CIEDE2000 (Sharma et al. 2005) of (..., 3) Lab colours."""
+    """Return (...) CIEDE2000 (Sharma et al. 2005) of (..., 3) Lab colours."""
     _load()
     from colour.difference import delta_E_CIE2000
 
@@ -178,7 +157,7 @@ def delta_e(reference: NDArray[np.float64], shown: NDArray[np.float64]) -> NDArr
 
 
 def delta_e_metric(rgb: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3, 3) M: if (n, 3) colours all change by a small d (3,), their mean squared CIEDE2000 is about d M d.
+    """Return (3, 3) M: if (n, 3) colours all change by a small d (3,), their mean squared CIEDE2000 is about d M d.
 
     Black ones, where nothing may have been drawn, do not count; M is the identity where all are.
     """

@@ -25,7 +25,7 @@ from airgs_codec.media.mp4 import PACKET_TICKS, SOUND_RATE, sound_init
 from airgs_codec.places.whole import atomic_path, expect_plain
 
 X264_OPTIONS = {"crf": "18", "preset": "medium"}  # nearly without visible loss
-MOST_OFF = 0.25  # frames that a picture may be beside an even rate before that is said
+MOST_OFF = 0.25  # frames that a picture may be off an even rate before a remark says so
 LAYOUTS = {1: "mono", 2: "stereo"}  # by channels
 BITS_S = {1: 64_000, 2: 96_000}  # of the encoder of sound, by channels
 MOST_S = 21_600  # of a sound, most of which would be silence
@@ -35,10 +35,9 @@ TOLERANCE_S = Fraction(1, 25)  # time stamps of sound are this rough; a larger g
 def write_movie(
     path: Path, frames: Iterable[NDArray[np.uint8]], fps: Fraction, sound: NDArray[np.int16] | None = None
 ) -> None:
-    """Write (H, W, 3) RGB frames as an H.264 film; an odd last row or column is cut off, as 4:2:0 asks.
+    """Write (H, W, 3) RGB frames as an H.264 film, whole or not at all, without an odd last row or column.
 
-    `sound`: (n, C) samples, which go with them as AAC. The film is whole or not there. Raises CodecError when there is
-    no frame or it cannot be written.
+    `sound`: (n, C) samples, added as AAC. Raises CodecError when there is no frame or it cannot be written.
     """
     try:
         with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
@@ -66,7 +65,6 @@ def write_movie(
 
 
 def _audio_frame(samples: NDArray[np.int16], at: int) -> av.AudioFrame:
-    """(n, C) samples, the first of which is the number `at`."""
     channels = samples.shape[1]
     frame = av.AudioFrame.from_ndarray(np.ascontiguousarray(samples).reshape(1, -1), "s16", LAYOUTS[channels])
     frame.sample_rate, frame.pts = SOUND_RATE, at
@@ -77,17 +75,17 @@ def _audio_frame(samples: NDArray[np.int16], at: int) -> av.AudioFrame:
 class Clock:
     """When the pictures of a video are shown, in frames of an even rate."""
 
-    fps: Fraction | None  # None: nothing tells it
+    fps: Fraction | None  # None: unknown
     start_s: Fraction  # when frame 0 is shown
     pictures: Mapping[int, int]  # frame -> the number of its picture; a frame that was dropped has none
-    remarks: tuple[str, ...] = ()  # what is odd about the video, each in a few words
+    remarks: tuple[str, ...] = ()  # for people, each in a few words
 
     @staticmethod
     def of(stamps: Sequence[int], unit: Fraction, rates: Sequence[Fraction | None]) -> Clock:
-        """The clock of pictures at ascending times, in units of so many seconds.
+        """Return the clock of pictures at ascending times, in units of `unit` seconds.
 
-        Each picture is of the frame that is nearest, and a frame has the nearest picture. `rates`: what the file says,
-        of which the first that fits the times is taken; where none does, it is measured.
+        Each picture is of the frame that is nearest, and a frame has the nearest picture. The first of the `rates` that
+        fits the times is taken; where none does, it is measured.
         """
         times = np.array(stamps, np.float64) - stamps[0]
         gaps = np.diff(times)
@@ -116,7 +114,6 @@ class VideoReader:
     """
 
     def __init__(self, path: Path) -> None:
-        """Opens the first video stream. Raises SceneError."""
         self._path = path
         self._reading = threading.Lock()
         self._last: NDArray[np.uint8] | None = None  # the picture before `_next`, where it was asked for
@@ -126,7 +123,7 @@ class VideoReader:
         self._stored = (context.width, context.height)
 
     def check(self, size: tuple[int, int]) -> None:
-        """Check that upright pictures have a size (width, height); no other one is decoded. Raises SceneError."""
+        """Raise SceneError unless upright pictures have a size (width, height); no other one is decoded."""
         found = self.size if set(size) == set(self._stored) else self._stored
         if found != size:
             raise SceneError(f"{self._path}: expected pictures of {size[0]}x{size[1]}, got {found[0]}x{found[1]}")
@@ -139,7 +136,7 @@ class VideoReader:
 
     @cached_property
     def clock(self) -> Clock:
-        """Read when all pictures are shown. Raises SceneError for a broken video, or two pictures at one time."""
+        """When all pictures are shown. Raises SceneError for a broken video, or two pictures at one time."""
         first, found = None, list[int | None]()
         try:
             with av.open(str(self._path.absolute())) as container:
@@ -151,17 +148,11 @@ class VideoReader:
                     if packet.size and not packet.is_discard:
                         found.append(packet.pts)
                 rates, unit = (stream.average_rate, stream.base_rate, stream.guessed_rate), stream.time_base
-                pixels = stream.sample_aspect_ratio
         except av.FFmpegError as error:
             raise SceneError(f"{self._path}: cannot read picture {len(found)}: {error}") from error
         if first is None:
             raise SceneError(f"{self._path}: expected a video, no picture of it can be decoded")
-        odd = {
-            "turned upright": (_turn(first) != np.eye(2)).any(),
-            "interlaced, rows may be of two moments": first.interlaced_frame,
-            f"pixels {pixels} as wide as high, left as they are stored": pixels not in (None, 0, 1),
-        }
-        remarks = tuple(remark for remark, is_so in odd.items() if is_so)
+        remarks = ("turned upright",) if (_turn(first) != np.eye(2)).any() else ()
         stamps = [stamp for stamp in found if stamp is not None]
         if unit is None or first.pts is None or len(stamps) < len(found):
             counted = {number: number for number in range(len(found))}
@@ -174,7 +165,7 @@ class VideoReader:
         return replace(clock, remarks=(*remarks, *clock.remarks))
 
     def read(self, number: int) -> NDArray[np.uint8]:
-        """(H, W, 3) picture `number`; threads wait for each other.
+        """Return (H, W, 3) picture `number`; threads wait for each other.
 
         Raises SceneError when the video ends before it, cannot be decoded, or has a picture of another size.
         """
@@ -217,7 +208,7 @@ class VideoReader:
         self._last = None
 
     def _upright(self, frame: av.VideoFrame) -> NDArray[np.uint8]:
-        """(H, W, 3) a picture as players show it. Raises SceneError where that is not turned by right angles."""
+        """Return (H, W, 3) a picture as players show it. Raises SceneError where that is not turned by right angles."""
         picture, turn = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8), _turn(frame)
         if not turn.diagonal().any():
             picture, turn = picture.transpose(1, 0, 2), turn[::-1]
@@ -227,7 +218,7 @@ class VideoReader:
 
 
 def _turn(frame: av.VideoFrame) -> NDArray[np.intp]:
-    """(2, 2) the signs of x and y where players show a step to the right of a picture, and one down."""
+    """Return (2, 2) the signs of x and y where players show a step to the right of a picture, and one down."""
     data: Any = frame.side_data.get("DISPLAYMATRIX")
     matrix = np.eye(3) if data is None else np.frombuffer(bytes(data), np.int32).reshape(3, 3)
     return np.sign(matrix[:2, :2]).astype(np.intp)
@@ -248,13 +239,12 @@ class SoundTrack:
 
 
 def encode_sound(path: Path, seconds: Fraction) -> SoundTrack:
-    """The first sound of a file, as long as a sequence of so many seconds: cut at its end, or silent from its own on.
+    """Encode the first sound of a file for a sequence of so many seconds, cut or followed by silence.
 
-    Raises SceneError for a file without sound, one that cannot be read, and a sequence longer than MOST_S, CodecError
-    when the encoder fails.
+    Raises SceneError for a file without sound and a sequence longer than MOST_S, CodecError when the encoder fails.
     """
     if seconds > MOST_S:
-        raise SceneError(f"{path}: expected at most {MOST_S} s of pictures beside sound, got {float(seconds):.0f}")
+        raise SceneError(f"{path}: expected at most {MOST_S} s of pictures with sound, got {float(seconds):.0f}")
     count = math.ceil(seconds * SOUND_RATE / PACKET_TICKS)
     samples, end = _read_sound(path, count * PACKET_TICKS)
     channels, note = samples.shape[1], ""
@@ -276,10 +266,7 @@ def encode_sound(path: Path, seconds: Fraction) -> SoundTrack:
 
 
 def decode_sound(packets: Iterable[bytes], channels: int) -> NDArray[np.int16]:
-    """(n, C) samples of packets, PACKET_TICKS of each; the first WARM_UP are not right where others came before.
-
-    Raises CodecError.
-    """
+    """Decode (n, C) samples, PACKET_TICKS a packet; mid-track the first WARM_UP are wrong. Raises CodecError."""
     decoder = _opus("r", channels)
     parts = [np.zeros((0, channels), np.int16)]
     try:
@@ -291,7 +278,6 @@ def decode_sound(packets: Iterable[bytes], channels: int) -> NDArray[np.int16]:
 
 
 def _samples(frame: av.AudioFrame, channels: int) -> NDArray[np.int16]:
-    """(n, C) samples of a frame of 16 bits."""
     return np.asarray(frame.to_ndarray(), np.int16).reshape(-1, channels)
 
 
@@ -303,7 +289,7 @@ def _opus(mode: Literal["r", "w"], channels: int) -> av.AudioCodecContext:
 
 
 def _read_sound(path: Path, count: int) -> tuple[NDArray[np.int16], int]:
-    """(count, C) samples of a file from its beginning on, silence where it has none, and where its own end.
+    """Return (count, C) samples of a file, with silence where it has none, and where its own end.
 
     What comes more than TOLERANCE_S later is not read. Raises SceneError.
     """
@@ -335,7 +321,7 @@ def _read_sound(path: Path, count: int) -> tuple[NDArray[np.int16], int]:
 def _placed(
     container: av.container.InputContainer, stream: av.AudioStream, channels: int
 ) -> Iterator[tuple[int, NDArray[np.int16]]]:
-    """Samples with their places in the file, counted from where all of its streams begin."""
+    """Yield samples with their places in the file, counted from where all of its streams begin."""
     resampler = av.AudioResampler("s16", LAYOUTS[channels], SOUND_RATE)
     begins = Fraction(container.start_time or 0, av.time_base)
     at: int | None = None

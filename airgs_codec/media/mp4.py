@@ -19,7 +19,7 @@ from airgs_codec.errors import CodecError
 Box = tuple[bytes, bytes]  # type, and the whole box with its header
 
 HEADER = 8  # bytes of size and type
-OWN = uuid.uuid5(uuid.NAMESPACE_URL, "urn:airgs:media").bytes  # of the uuid box with checksums and a column file
+OWN_UUID = uuid.uuid5(uuid.NAMESPACE_URL, "urn:airgs:media").bytes  # of the uuid box with checksums and a column file
 # Flags of a trun box, 8.8.8: which fields it has; those from 0x100 on are repeated for every sample.
 DATA_OFFSET, FIRST_SAMPLE_FLAGS, DURATION, SIZE, COMPOSITION_OFFSET = 0x1, 0x4, 0x100, 0x200, 0x800
 # Flags of a tfhd box, 8.8.7, as the browser player reads it.
@@ -41,9 +41,9 @@ _UNITY = struct.pack(">9I", 0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000)  # t
 
 
 @dataclass(frozen=True, slots=True)
-class Segment:
-    checksums: tuple[int, ...]  # of the luma of as many pictures as there are samples, each page in display order
-    columns: bytes | None  # a column file; None: there is none, every number in it is 0
+class MediaSegment:
+    checksums: tuple[int, ...]  # of the luma of each sample, each page in display order
+    columns: bytes | None  # a column file; None: every number in it is 0
     samples: tuple[bytes, ...]  # coded pictures in decoding order: NAL units, each after its length in 4 bytes
 
 
@@ -56,7 +56,7 @@ class CodedPicture:
 
 
 def read_boxes(data: bytes) -> list[Box]:
-    """The boxes that follow one another in `data`. Raises CodecError where a size leaves the data."""
+    """Return the boxes that follow one another in `data`. Raises CodecError where a size leaves the data."""
     boxes, at = [], 0
     while at < len(data):
         size, kind = _unpack(">I4s", data, at)
@@ -67,21 +67,18 @@ def read_boxes(data: bytes) -> list[Box]:
     return boxes
 
 
-def read_segment(media: bytes) -> Segment:
-    """The parts of a media segment.
-
-    Raises CodecError when the segment is built otherwise or a sample leaves the mdat.
-    """
+def read_segment(media: bytes) -> MediaSegment:
+    """Return the parts of a media segment. Raises CodecError when it is built otherwise or a sample leaves the mdat."""
     boxes = read_boxes(media)
-    if not boxes or not (own := boxes[0][1][HEADER:]).startswith(OWN):
-        raise CodecError(f"expected a box of the uuid {uuid.UUID(bytes=OWN)} at the start")
+    if not boxes or not (own := boxes[0][1][HEADER:]).startswith(OWN_UUID):
+        raise CodecError(f"expected a box of the uuid {uuid.UUID(bytes=OWN_UUID)} at the start")
     samples = read_samples(media[len(boxes[0][1]) :])
-    columns = len(OWN) + 4 * len(samples)
-    return Segment(_unpack(f">{len(samples)}I", own, len(OWN)), own[columns:] or None, samples)
+    columns = len(OWN_UUID) + 4 * len(samples)
+    return MediaSegment(_unpack(f">{len(samples)}I", own, len(OWN_UUID)), own[columns:] or None, samples)
 
 
 def read_samples(fragment: bytes) -> tuple[bytes, ...]:
-    """The samples of a moof and its mdat, in decoding order. Raises CodecError as `read_segment` does."""
+    """Return the samples of a moof and its mdat, in decoding order. Raises CodecError as `read_segment` does."""
     boxes = read_boxes(fragment)
     if (kinds := [kind for kind, _ in boxes]) != [b"moof", b"mdat"]:
         raise CodecError(f"expected one moof and one mdat, got {kinds[:8]}")
@@ -103,12 +100,12 @@ def read_samples(fragment: bytes) -> tuple[bytes, ...]:
 
 
 def read_start(fragment: bytes) -> int:
-    """When the first sample of a moof is decoded, ticks. Raises CodecError as `read_segment` does."""
+    """Return when the first sample of a moof is decoded, ticks. Raises CodecError as `read_segment` does."""
     return int(_unpack(">Q", _inside(read_boxes(fragment)[0][1], b"traf", b"tfdt"), 4)[0])
 
 
 def units_of(sample: bytes) -> list[bytes]:
-    """The NAL units of a sample, each without its length. Raises CodecError when a length leaves the sample."""
+    """Return the NAL units of a sample, each without its length. Raises CodecError when a length leaves the sample."""
     units, at = [], 0
     while at < len(sample):
         size = _unpack(">I", sample, at)[0]
@@ -120,7 +117,7 @@ def units_of(sample: bytes) -> list[bytes]:
 
 
 def start_codes(sample: bytes) -> bytes:
-    """The NAL units of a sample as a byte stream (ISO/IEC 14496-10, Annex B). Raises CodecError as `units_of` does."""
+    """Return the NAL units of a sample as a byte stream (ISO/IEC 14496-10, Annex B). Raises CodecError."""
     return b"".join(b"\0\0\0\1" + unit for unit in units_of(sample))
 
 
@@ -136,14 +133,13 @@ def check_boxes(expected: bytes, got: bytes, inside: str = "the file") -> None:
         elif len(box_) != len(other):
             raise CodecError(f"expected a box {name} of {len(box_)} bytes, got {len(other)}")
         elif box_ != other:
-            at = next(at for at, (byte, there) in enumerate(zip(box_, other, strict=True)) if byte != there)
+            at = next(at for at, (byte, other_byte) in enumerate(zip(box_, other, strict=True)) if byte != other_byte)
             at, stop = (12, 20) if kind == b"tfdt" and at >= 12 else (at // 4 * 4, at // 4 * 4 + 4)
             wanted, number = (int.from_bytes(data[at:stop]) for data in (box_, other))
             raise CodecError(f"box {name}, byte {at}: expected {wanted}, got {number}")
 
 
 def _inside(whole: bytes, *kinds: bytes) -> bytes:
-    """The content of a box in a box, each the first of its type. Raises CodecError when there is none."""
     for kind in kinds:
         boxes = [box for found, box in read_boxes(whole[HEADER:]) if found == kind]
         if not boxes:
@@ -153,14 +149,14 @@ def _inside(whole: bytes, *kinds: bytes) -> bytes:
 
 
 def _unpack(form: str, data: bytes, at: int) -> tuple:
-    """`struct.unpack_from` that says where a box ends too early. Raises CodecError."""
+    """Unpack as `struct.unpack_from`. Raises CodecError where a box ends too early."""
     if at + struct.calcsize(form) > len(data):
         raise CodecError(f"a box ends after {len(data)} bytes, expected {struct.calcsize(form)} at {at}")
     return struct.unpack_from(form, data, at)
 
 
 def init_segment(timescale: int, width: int, height: int) -> bytes:
-    """ftyp and moov of a track without samples; `timescale` ticks a second, pictures of about this size."""
+    """Return ftyp and moov of a track without samples; `timescale` ticks a second, pictures of about this size."""
     size = struct.pack(">2I", width << 16, height << 16)
     record = bytes([1, PROFILE, CONSTRAINTS, LEVEL, 0xFF, 0xE0, 0, 0xFD, 0xF8, 0xF8, 0])  # no sets; 4:2:0 of 8 bits
     colour = box(b"colr", b"nclx", struct.pack(">3HB", 2, 2, 2, 0x80))  # unspecified but for the full range
@@ -171,7 +167,7 @@ def init_segment(timescale: int, width: int, height: int) -> bytes:
 
 
 def sound_init(channels: int, pre_skip: int) -> bytes:
-    """ftyp and moov of a track of Opus, without samples, in which `pre_skip` ticks are not heard (Opus in ISO BMFF)."""
+    """Return ftyp and moov of a track of Opus in which `pre_skip` ticks are not heard (Opus in ISO BMFF)."""
     header = bytes(12) + struct.pack(">2H", 0x100, 0) + _UNITY + bytes(8)
     edit = box(b"edts", full_box(b"elst", 0, struct.pack(">2Ii2h", 1, 0, pre_skip, 1, 0)))
     description = box(b"dOps", struct.pack(">2BHIhB", 0, channels, pre_skip, SOUND_RATE, 0, 0))
@@ -182,7 +178,7 @@ def sound_init(channels: int, pre_skip: int) -> bytes:
 
 
 def _init(timescale: int, header: bytes, edit: bytes, media: tuple[bytes, bytes, bytes, bytes]) -> bytes:
-    """ftyp and moov of a track; `header`: the end of its tkhd; `media`: hdlr, media header, sample entry, groups."""
+    """Return ftyp and moov; `header`: the end of its tkhd; `media`: hdlr, media header, sample entry, groups."""
     handler, kind, entry, groups = media
     playback = struct.pack(">IH", 0x10000, 0x100) + bytes(10)  # rate 1, volume 1
     empty = [full_box(name, 0, _word(0)) for name in (b"stts", b"stsc", b"stco")]
@@ -203,7 +199,7 @@ def _handler(kind: bytes) -> bytes:
 
 
 def media_segment(pictures: Sequence[CodedPicture], start: int, ticks: int, slopes: int = 0) -> bytes:
-    """moof and mdat of pictures in decoding order, from an IDR on, which begin at `start` and last `ticks` each.
+    """Return moof and mdat of pictures in decoding order, from an IDR on, that begin at `start` and last `ticks` each.
 
     Every further IDR begins the next page of the same pictures: together the pages of a picture last as long as one
     would. The first `slopes` are none of these, and with them all share the time of the others evenly.
@@ -225,15 +221,12 @@ def media_segment(pictures: Sequence[CodedPicture], start: int, ticks: int, slop
 
 
 def still_segment(start: int, ticks: int) -> bytes:
-    """moof and mdat of one grey picture of 64x64 samples, which begins at `start` and lasts `ticks`.
-
-    Raises CodecError where these are more than a sample can last.
-    """
+    """Return moof and mdat of one grey picture of 64x64 samples that lasts `ticks`. Raises CodecError for too long."""
     return media_segment([CodedPicture(_GREY, 0, len(_GREY), idr=True)], start, ticks)
 
 
 def sound_segment(packets: Sequence[bytes], first: int) -> bytes:
-    """moof and mdat of packets of sound, which follow each other; the first has the number `first` in the track."""
+    """Return moof and mdat of packets of sound that follow each other; `first`: the number of the first."""
     warm_up = full_box(b"sbgp", 0, b"roll", struct.pack(">3I", 1, len(packets), 1))
     sizes = {SIZE: [len(packet) for packet in packets]}
     return _fragment(first * PACKET_TICKS, (PACKET_TICKS, _SYNC), sizes, packets, warm_up)
@@ -246,10 +239,9 @@ def _fragment(
     samples: Sequence[bytes],
     groups: bytes = b"",
 ) -> bytes:
-    """moof and mdat of samples from `start` on, the first a sync sample.
+    """Return moof and mdat of samples from `start` on, the first a sync sample.
 
-    `defaults`: of the others, ticks and flags; `columns`: by the flag of a field of trun, its values or none. Raises
-    CodecError for times that the fields do not hold.
+    `defaults`: of the others, ticks and flags; `columns`: by the flag of a field of trun, its values or none.
     """
     flags = DATA_OFFSET | FIRST_SAMPLE_FLAGS | sum(flag for flag, column in columns.items() if column)
     try:
@@ -267,18 +259,16 @@ def _fragment(
 
 
 def with_own_box(fragment: bytes, checksums: Sequence[int], columns: bytes) -> bytes:
-    """A media segment: a moof and its mdat behind a uuid box with a checksum a sample and a column file."""
-    return box(b"uuid", OWN, struct.pack(f">{len(checksums)}I", *checksums), columns) + fragment
+    """Return a media segment: a moof and its mdat behind a uuid box with a checksum a sample and a column file."""
+    return box(b"uuid", OWN_UUID, struct.pack(f">{len(checksums)}I", *checksums), columns) + fragment
 
 
 def box(kind: bytes, *content: bytes) -> bytes:
-    """A box of a type around its content."""
     data = b"".join(content)
     return struct.pack(">I4s", HEADER + len(data), kind) + data
 
 
 def full_box(kind: bytes, version_and_flags: int, *content: bytes) -> bytes:
-    """A box whose content begins with a version and flags."""
     return box(kind, _word(version_and_flags), *content)
 
 

@@ -16,7 +16,7 @@ from airgs_codec.package.layout import JSON_NAME, MEDIA_TYPES, MPD_NAME, ROOTS, 
 from airgs_codec.package.manifest import Groups, Manifest, Rung, rungs_of
 from airgs_codec.package.parse import MAX_TABLE_BYTES, parse_group, parse_page, parse_root
 from airgs_codec.package.tables import Entry, FileEntry, Group, Header, Root, Spans, digest, file_entry
-from airgs_codec.places.place import BUCKETS, WEB, Place, got_words, is_address, place_at, split_query
+from airgs_codec.places.place import BUCKETS, WEB, Storage, got_words, is_address, place_at, split_query
 from airgs_codec.scene.frames import ZERO, Origin
 
 if TYPE_CHECKING:  # decoding needs no cameras
@@ -30,7 +30,7 @@ Read = Callable[[str, FileEntry], bytes]  # path and what is known of the file -
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Package:
-    files: Place
+    files: Storage
     manifest: Manifest
     root_bytes: int  # of airgs.json
     mpd_bytes: int = 0  # of manifest.mpd
@@ -70,7 +70,7 @@ class Package:
         return read_file(self.files, relative, self.manifest.entry(relative))
 
 
-def read_file(files: Place, relative: str, entry: FileEntry) -> bytes:
+def read_file(files: Storage, relative: str, entry: FileEntry) -> bytes:
     size, read = find_file(files, relative)
     if size > max(entry.bytes, SHORT):
         raise FormatError("size_mismatch", relative, f"expected {entry.bytes} bytes, got {size}")
@@ -79,7 +79,7 @@ def read_file(files: Place, relative: str, entry: FileEntry) -> bytes:
     return data
 
 
-def write_file(files: Place, relative: str, data: bytes) -> FileEntry:
+def write_file(files: Storage, relative: str, data: bytes) -> FileEntry:
     """Write a file of a package, whole or not at all, and return its entry for the tables. Raises OSError."""
     name = relative.rpartition("/")[2]
     headers = {"Content-Type": MEDIA_TYPES[name[name.index(".") :]]}  # what a bucket says over HTTP: docs/serving.md
@@ -158,7 +158,7 @@ def folder_of(address: str) -> str:
     return (folder if last in ROOTS else before) + query
 
 
-def open_files(files: Place) -> Package:
+def open_files(files: Storage) -> Package:
     """Open the package of these files, wherever they are; raises as `open_package` does."""
     mpd_bytes, _ = _open_root(files, MPD_NAME)
     size, read = _open_root(files, JSON_NAME)
@@ -169,14 +169,14 @@ def open_files(files: Place) -> Package:
     return Package(files, manifest, len(data), mpd_bytes)
 
 
-def find_file(files: Place, relative: str) -> tuple[int, Callable[[], bytes]]:
+def find_file(files: Storage, relative: str) -> tuple[int, Callable[[], bytes]]:
     """Return the length of a file of a package, and what reads it. Raises FormatError: missing_file, unsafe_path."""
     if (found := files.open(relative)) is None:
         raise FormatError("missing_file", relative, "expected a file, got nothing")
     return found
 
 
-def _open_root(files: Place, relative: str) -> tuple[int, Callable[[], bytes]]:
+def _open_root(files: Storage, relative: str) -> tuple[int, Callable[[], bytes]]:
     try:
         return find_file(files, relative)
     except FormatError:

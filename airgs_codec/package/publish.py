@@ -29,15 +29,14 @@ from airgs_codec.package.mpd import LiveClock, Streams, check_mpd, still_files, 
 from airgs_codec.package.package import open_manifest, open_package, read_file, root_of, write_file
 from airgs_codec.package.parse import pack_group, pack_json, parse_root
 from airgs_codec.package.region import levelled, unit_of, upright, world_from
-from airgs_codec.package.tables import MAX_PLACES, FileEntry, Group, Region, Root, Rungs
-from airgs_codec.package.tables import Place as ViewPlace
-from airgs_codec.places.place import PARALLEL, Bucket, Folder, Place, place_at
+from airgs_codec.package.tables import MAX_PLACES, FileEntry, Group, Place, Region, Root, Rungs
+from airgs_codec.places.place import PARALLEL, Bucket, Folder, Storage, place_at
 from airgs_codec.places.whole import finished_path, staged_folder, written_alone
 
 NEW = ".new/"  # a package below it takes the place of the existing one
 
 
-def write_tables(files: Place, m: Manifest, clock: LiveClock | None = None) -> int:
+def write_tables(files: Storage, m: Manifest, clock: LiveClock | None = None) -> int:
     """Write all tables, manifest.mpd and still files of a package whose other files are written already.
 
     Returns the length of tables and manifest.mpd together. Raises ConfigError for a growing package without a clock,
@@ -58,7 +57,7 @@ def write_tables(files: Place, m: Manifest, clock: LiveClock | None = None) -> i
     return size + write_root(files, m, clock)
 
 
-def write_root(files: Place, m: Manifest, clock: LiveClock | None = None, streams: Streams | None = None) -> int:
+def write_root(files: Storage, m: Manifest, clock: LiveClock | None = None, streams: Streams | None = None) -> int:
     """Write manifest.mpd and airgs.json of a package whose tables are written; return their length together.
 
     `streams` as in `write_mpd`. Raises FormatError for what no reader takes; then nothing is written.
@@ -72,7 +71,7 @@ def write_root(files: Place, m: Manifest, clock: LiveClock | None = None, stream
 class GrowingPackage:
     """A package to which groups are added, until it is closed; only the newest table stays in memory."""
 
-    def __init__(self, files: Place, m: Manifest, available: datetime) -> None:
+    def __init__(self, files: Storage, m: Manifest, available: datetime) -> None:
         """`m`: the tables of the package so far, which are written; `available`: the time of its first frame."""
         self.files = files
         self._unwritten: dict[str, bytes] = {}  # tables of the group that `expect` was called with
@@ -110,7 +109,7 @@ class GrowingPackage:
         write_root(self.files, m, LiveClock(self._available, datetime.now(UTC)), self._streams)
 
 
-def staged_package(place: Place) -> AbstractContextManager[Path]:
+def staged_package(place: Storage) -> AbstractContextManager[Path]:
     """Yield an empty folder of this machine; what the block leaves in it is the package at `place` when the block ends.
 
     Nothing changes when the block ends with an error. What runs that were cut off left is put right first. Only one run
@@ -240,7 +239,7 @@ def _with_view(root: Root, view: tuple[Sequence[float], Sequence[float]], name: 
     region = levelled(root.region, root.world)
     away = [float(np.linalg.norm(np.subtract(place.position, position))) for place in region.places]
     reach = region.places[int(np.argmin(away))].reach
-    place = ViewPlace(position, focus, upright(region).tolist(), reach, name)
+    place = Place(position, focus, upright(region).tolist(), reach, name)
     others = [other for other in root.region.places if name is None or other.name != name]
     if len(others) == MAX_PLACES:
         raise ConfigError(f"region: expected at most {MAX_PLACES} places, got one more")

@@ -1,6 +1,6 @@
-"""A place where files lie under relative paths: a folder of this machine, memory, a bucket or a web server.
+"""Files under relative paths in a folder of this machine, memory, a bucket or a web server.
 
-Nothing that reads or writes a place needs to know which it is. A place can be pickled: other processes open it by its
+Nothing that reads or writes a place needs to know which it is. It can be pickled: other processes open it by its
 address. Folders are read by the calls of the operating system, which take a third of the time of obstore's for
 small files; all that has an address is reached by obstore, with endpoint and credentials from the environment.
 """
@@ -20,6 +20,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import timedelta
 from functools import cache
+from itertools import accumulate
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 BUCKETS = ("s3", "gs", "az")
 WEB = ("http", "https")
 BUSY = (429, 502, 503, 504)
-SILENCE_S = 8.0  # without an answer, after which people are told
+SILENCE_S = 8.0  # without an answer, before a server counts as silent
 CIRCLE = "its redirects lead in a circle"
 _KEY = "a key, such as stands in an address after the ?, may be missing or too old"
 _HINTS = {401: "the server asks for a sign-in", 403: f"the server refuses: {_KEY}", 404: "the server has no such file"}
@@ -54,14 +55,14 @@ _FAULTS = {  # in the text of an error of obstore -> what that means
 _NO_CREDENTIALS = re.compile(r"169\.254\.\d+\.\d+|metadata\.google\.internal|Account must be specified")
 
 
-class Place(ABC):
+class Storage(ABC):
     """Files by their paths, with slashes, below one folder or address. All methods raise OSError (TransportError)."""
 
     name: str  # the folder or address, for messages
 
     @abstractmethod
     def open(self, path: str) -> tuple[int, Callable[[], bytes]] | None:
-        """Return the length of a file, and what reads it whole; None where there is none.
+        """Return the length of a file and a function that reads it whole; None where there is none.
 
         Raises FormatError (unsafe_path) where a folder has a link there.
         """
@@ -72,31 +73,24 @@ class Place(ABC):
 
     @abstractmethod
     def write(self, path: str, data: bytes, headers: Mapping[str, str] = PLAIN) -> None:
-        """Write a file, whole or not at all, over one of the same path; `headers`: what a bucket says of it."""
+        """Write a file, whole or not at all; a bucket stores the `headers` with it."""
 
     @abstractmethod
-    def delete(self, paths: Iterable[str]) -> None:
-        """Delete files that are there."""
+    def delete(self, paths: Iterable[str]) -> None: ...
 
     def read(self, path: str) -> bytes | None:
-        """Return the bytes of a file; None where there is none. Raises what `open` does."""
         found = self.open(path)
         return None if found is None else found[1]()
-
-    def exists(self, path: str) -> bool:
-        return self.open(path) is not None
 
     def paths(self) -> list[str]:
         return sorted(self.sizes())
 
 
 @dataclass(frozen=True, slots=True)
-class Folder(Place):
+class Folder(Storage):
     """The files below a folder of this machine, which is made when it is needed. No link below it is followed."""
 
     path: Path
-    lasting: bool = True  # files are on the disk (fsync) before they have their names
-    alone: bool = False  # nobody else writes there, and no killed run has: nothing is looked for that it left
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -117,17 +111,16 @@ class Folder(Place):
         return {p.relative_to(self.path).as_posix(): p.lstat().st_size for p in entries}
 
     def write(self, path: str, data: bytes, headers: Mapping[str, str] = PLAIN) -> None:
-        """Also raises FormatError (unsafe_path) below a link."""
         file = self._file(path)
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(file, data, self.lasting, self.alone)
+        write_bytes(file, data)
 
     def delete(self, paths: Iterable[str]) -> None:
         for path in paths:
             self._file(path).unlink(missing_ok=True)
 
     def _file(self, path: str) -> Path:
-        """Return where a file lies. Raises FormatError (unsafe_path) for a folder on the way that is a link."""
+        """Return the path of a file. Raises FormatError (unsafe_path) where a folder above it is a link."""
         folder, *parts = str(self.path), *path.split("/")
         for part in parts[:-1]:
             folder = f"{folder}/{part}"
@@ -137,7 +130,7 @@ class Folder(Place):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Memory(Place):
+class Memory(Storage):
     name: str
     files: dict[str, bytes] = field(default_factory=dict)
 
@@ -156,11 +149,8 @@ class Memory(Place):
             self.files.pop(path, None)
 
 
-class Bucket(Place):
-    """The objects below one prefix of an object store, or the files below an address of a web server.
-
-    A web server's files can be read, but not listed or written; the query of an address goes with each of them.
-    """
+class Bucket(Storage):
+    """The objects below a prefix of an object store, or the files of a web server, which are only read."""
 
     def __init__(self, address: str, objects: ObjectStore) -> None:
         self.name = split_query(address)[0]
@@ -170,43 +160,33 @@ class Bucket(Place):
         return _reopened, (self._address,)
 
     def open(self, path: str) -> tuple[int, Callable[[], bytes]] | None:
-        with self._told(path):
+        with self._naming(path):
             found = self._get(path)
         if found is None:
             return None
 
         def read() -> bytes:
-            with self._told(path):
+            with self._naming(path):
                 return bytes(found.bytes())
 
         return found.meta["size"], read
 
-    def download(self, path: str, target: Path) -> int:
-        """Write an object to a file, and return its length. Raises SceneError where there is none."""
-        with self._told(path), target.open("wb") as file:
-            found = self._get(path)
-            for part in found.stream() if found else ():
-                file.write(part)
-        if found is None:
-            raise SceneError(f"{self.name}/{path}: expected the file that was listed, got nothing")
-        return found.meta["size"]
-
     def sizes(self, below: str = "") -> dict[str, int]:
-        """Return the length of every object below a path, at any depth."""
-        with self._told():
+        """Return the length of every object below a path."""
+        with self._naming():
             listed = self._objects.list(below or None)
             return {meta["path"]: meta["size"] for some in listed for meta in some if meta["path"]}
 
     def write(self, path: str, data: bytes, headers: Mapping[str, str] = PLAIN) -> None:
-        with self._told(path):
+        with self._naming(path):
             self._objects.put(path, data, attributes=dict(headers))
 
     def copy(self, source: str, target: str) -> None:
-        with self._told(target):
+        with self._naming(target):
             self._objects.copy(source, target)
 
     def delete(self, paths: Iterable[str]) -> None:
-        with self._told():
+        with self._naming():
             if gone := sorted(paths):
                 self._objects.delete(gone)
 
@@ -219,7 +199,7 @@ class Bucket(Place):
             return None
 
     @contextmanager
-    def _told(self, path: str = "") -> Iterator[None]:
+    def _naming(self, path: str = "") -> Iterator[None]:
         from obstore.exceptions import BaseError
 
         try:
@@ -229,22 +209,19 @@ class Bucket(Place):
 
 
 class Copied:
-    """A folder or a file at an address, copied to a temporary folder of this machine, which goes with this object.
+    """A folder or a file at an address, copied to a temporary folder of this machine, which lasts as long as this.
 
     A process of this machine that unpickles it reads the same copy; on another machine it is copied again.
     """
 
     def __init__(
-        self, address: str, beside: tuple[str, ...] = (), progress: Progress = silent, path: Path | None = None
+        self, address: str, companions: tuple[str, ...] = (), progress: Progress = silent, path: Path | None = None
     ) -> None:
-        """`address`: a prefix, or one file, with which files and folders of the names `beside` are copied.
+        """Copy a prefix, or one file with the files and folders of the names `companions`, unless `path` is a copy.
 
-        `path`: where it lies in another process; nothing is done where it is there already.
-
-        Raises ConfigError for an address that cannot be and where the disk has no room, SceneError where nothing is
-        there, TransportError.
+        Raises ConfigError for a bad address or where the disk has no room, SceneError for nothing, TransportError.
         """
-        self.address, self._beside = address.rstrip("/"), beside
+        self.address, self._companions = address.rstrip("/"), companions
         self.files = self.bytes = 0
         if path and path.exists():
             self.path = path
@@ -254,9 +231,9 @@ class Copied:
         holder, _, name = self.address.rpartition("/")
         below = ""  # the path of a single file below the folder that is copied
         if not sizes and not holder.endswith("/") and (found := (source := bucket_at(holder)).open(name)):
-            small = [(path, source.open(path)) for path in beside]
-            sizes = {name: found[0], **{path: there[0] for path, there in small if there}}
-            sizes |= _as_files({path: size for part in beside for path, size in source.sizes(part).items()})
+            small = [(path, source.open(path)) for path in companions]
+            sizes = {name: found[0], **{path: one[0] for path, one in small if one}}
+            sizes |= _as_files({path: size for part in companions for path, size in source.sizes(part).items()})
             below = name
         if not sizes:
             raise SceneError(f"{address}: expected a prefix with frames below it, or a file, got nothing")
@@ -266,7 +243,6 @@ class Copied:
         self._copy(source, sizes, folder, progress)
 
     def _copy(self, source: Bucket, sizes: Mapping[str, int], folder: Path, progress: Progress) -> None:
-        """Copy files to a folder, which appears when all of them are there."""
         total = sum(sizes.values())
         folder.parent.mkdir(parents=True, exist_ok=True)
         free = shutil.disk_usage(folder.parent).free
@@ -277,15 +253,21 @@ class Copied:
         for path in sizes:
             (stage / path).parent.mkdir(parents=True, exist_ok=True)
         progress("copying", 0, max(1, total))
+
+        def copy(path: str) -> int:
+            if (data := source.read(path)) is None:
+                raise SceneError(f"{source.name}/{path}: expected the file that was listed, got nothing")
+            return (stage / path).write_bytes(data)
+
         with ThreadPoolExecutor(PARALLEL) as pool:
-            for size in pool.map(lambda path: source.download(path, stage / path), sizes):
-                self.files, self.bytes = self.files + 1, self.bytes + size
-                progress("copying", self.bytes, max(self.bytes, total, 1))
+            for done in accumulate(pool.map(copy, sizes)):
+                progress("copying", done, max(done, total, 1))
+        self.files, self.bytes = len(sizes), done
         with suppress(OSError):  # another process was sooner
             stage.rename(folder)
 
     def named(self, words: str) -> str:
-        """Words with addresses in place of paths of copies."""
+        """Return words with addresses in place of paths of copies."""
         holder = self.address.rpartition("/")[0]
         return words.replace(str(self.path), self.address).replace(str(self.path.parent), holder)
 
@@ -293,28 +275,27 @@ class Copied:
         return f"{self.address}: {self.files} file{'s' * (self.files != 1)}, {self.bytes / 1e6:.3g} MB, copied here"
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _copied_here, (self.address, self._beside, self.path)
+        return _copied_here, (self.address, self._companions, self.path)
 
 
 @cache
-def _copied_here(address: str, beside: tuple[str, ...], path: Path) -> Copied:
-    """The copy that was pickled in another process: the same for all who unpickle it, as long as this process lives."""
-    return Copied(address, beside, path=path)
+def _copied_here(address: str, companions: tuple[str, ...], path: Path) -> Copied:
+    return Copied(address, companions, path=path)
 
 
 def _as_files(sizes: Mapping[str, int]) -> dict[str, int]:
-    """The objects that can be files: not those that stand for a folder, and none outside of their prefix."""
+    """Return the objects that can be files: none that stands for a folder or is outside of its prefix."""
     paths = {name: PurePosixPath(name) for name in sizes}
     folders = {str(folder) for path in paths.values() for folder in path.parents}
     return {name: sizes[name] for name, path in paths.items() if name not in folders and ".." not in path.parts}
 
 
 def is_address(place: str | Path) -> bool:
-    """Whether a place is an address rather than a folder. (A `Path` is none: it joins the slashes of an address.)"""
+    """Return whether a place is an address rather than a folder; a `Path` is none."""
     return "://" in str(place)
 
 
-def place_at(place: str | Path, schemes: tuple[str, ...] = BUCKETS) -> Place:
+def place_at(place: str | Path, schemes: tuple[str, ...] = BUCKETS) -> Storage:
     """Return the place at a folder or an address. Raises ConfigError as `bucket_at` does, and for what is no path."""
     place = path_argument("path", place)
     return bucket_at(str(place), schemes) if is_address(place) else Folder(Path(place))
@@ -323,7 +304,7 @@ def place_at(place: str | Path, schemes: tuple[str, ...] = BUCKETS) -> Place:
 def bucket_at(address: str, schemes: tuple[str, ...] = BUCKETS) -> Bucket:
     """Return the prefix at an address: s3://bucket/prefix, gs://bucket/prefix, az://container/prefix.
 
-    `schemes`: which addresses can be used. Raises ConfigError for other ones and for those that cannot be.
+    `schemes`: which addresses can be used. Raises ConfigError.
     """
     scheme = address.partition("://")[0]
     if scheme not in schemes:
@@ -344,12 +325,11 @@ def bucket_at(address: str, schemes: tuple[str, ...] = BUCKETS) -> Bucket:
 
 @cache
 def _reopened(address: str) -> Bucket:
-    """The bucket that was pickled in another process, the same for all copies of it in this one."""
     return bucket_at(address, BUCKETS + WEB)
 
 
 def _words(error: Exception) -> str:
-    """Say what went wrong in one line: obstore's messages are pages, with the store's own answer inside."""
+    """Return one line on an error of obstore, whose messages are pages."""
     text, _, cause = str(error).partition("\n\nDebug source")
     if _NO_CREDENTIALS.search(text):
         return "no credentials: expected them in the environment (docs/serving.md), this machine has none of its own"
@@ -360,17 +340,17 @@ def _words(error: Exception) -> str:
 
 
 def split_query(address: str) -> tuple[str, str]:
-    """What stands before the query of an address, without slashes at its end, and the query with its ?, "" for none."""
+    """Split an address before its query, and remove slashes at the end of what is before."""
     before, mark, query = address.partition("?")
     return before if before.endswith("://") else before.rstrip("/"), mark + query
 
 
 def status_words(status: int) -> str:
-    """What is wrong with an answer that has a status other than 200."""
+    """Return what is wrong with an answer that has a status other than 200."""
     hint = _HINTS.get(status, "the server is busy" if status in BUSY else "")
     return f"expected a file, got status {status}{hint and f' ({hint})'}"
 
 
 def got_words(data: bytes, otherwise: str) -> str:
-    """What came in place of a file: a web page, where it begins as one."""
+    """Return "a web page" where bytes begin as one, else the other words."""
     return "a web page" if data[:64].removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<") else otherwise

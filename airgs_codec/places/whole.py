@@ -1,11 +1,8 @@
-"""Files and folders of this machine that are whole or not there, and JSON that every reader accepts.
+"""Files and folders of this machine that are whole or absent, and JSON that every reader accepts.
 
-What is written has a name of its own until it is finished. That name is random and is made exclusively, and no link is
-followed: neither one that somebody put at the name of the temporary file nor one at the name that it takes.
-
-What is unfinished has an owner, who holds a lock of the kernel on it (flock), which ends with the process. Whoever
-writes at the same place next removes what nobody holds. Locks of files hold on a network disk too, from machine to
-machine; those of folders only among the processes of one. A disk without locks works, but nothing is removed there.
+What is written has a random name until it is finished, and no link is followed. Its owner holds a lock of the kernel on
+it (flock), which ends with the process; whoever writes to the same path next removes what nobody holds. Locks of files
+work on a network disk too, those of folders only among the processes of one machine; without locks nothing is removed.
 """
 
 from __future__ import annotations
@@ -24,6 +21,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 from airgs_codec.errors import AirgsError, ConfigError
@@ -32,16 +30,19 @@ _PART = re.compile(r"(.*/)?\.([^/]+)\.[0-9a-f]{16}\.part")  # what `atomic_path`
 _MARK_NAME, _MARK = "airgs-unfinished", b"airgs-codec makes a folder here; nothing else may be put beside it\n"
 _OURS = ".ply .spz .sog .splat .splatv .ksplat .4dgs .splat4d .glb .gltf .usdz .fbx .mpd .m4s .webp .mkv .npz .7z"
 _FILES = {*mimetypes.MimeTypes().types_map[True], *_OURS.split(), ".gz"}  # endings of names
-_NEW, _OLD, _GONE = "new", "old", "gone"  # folders beside the mark; what is in the last is being deleted
+_NEW, _OLD, _GONE = "new", "old", "gone"  # folders next to the mark; what is in the last is being deleted
 WAIT_S = 10.0  # for another run that writes to a folder
 _POLL_S = 0.02
-_KINDS = {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
 
+BROKEN = (  # what reading broken JSON and arrays raises
+    *(ValueError, TypeError, LookupError, AttributeError, ArithmeticError, ImportError, EOFError, RuntimeError),
+    *(SyntaxError, TokenError, MemoryError),  # of the header of an array: numpy parses it as Python
+)
 IsOurs = Callable[[Path], bool]  # whether a folder with files in it is of the kind that may be replaced
 
 
 def expect_folder_name(place: str | Path, ending: str = "") -> None:
-    """Raise ConfigError for a place that is no folder yet and has the ending of a file; `ending`: what is expected."""
+    """Raise ConfigError for a missing folder that has the ending of a file; `ending`: what is expected."""
     path = Path(place)
     if path.suffix.lower() in _FILES and not str(place).endswith(os.sep) and not path.is_dir():
         other = f" or a name that ends in {ending}" * bool(ending)
@@ -63,62 +64,57 @@ def naming(path: Path, temporary: Path | None = None) -> Iterator[None]:
 def expect_plain(path: Path) -> None:
     """Raise OSError for a pipe, a device or a socket, which a reader might wait for without an end."""
     with suppress(FileNotFoundError):
-        if kind := _KINDS.get(stat.S_IFMT(os.stat(path).st_mode)):
-            raise OSError(errno.EINVAL, f"expected a plain file, got {kind}", str(path))
+        if not (stat.S_ISREG(mode := os.stat(path).st_mode) or stat.S_ISDIR(mode)):
+            raise OSError(errno.EINVAL, "expected a plain file, got a pipe, a device or a socket", str(path))
 
 
 @contextmanager
-def atomic_path(path: Path, lasting: bool = True, alone: bool = False) -> Iterator[Path]:
-    """Give a new empty file beside `path`; what the block writes there takes the place of `path` when the block ends.
+def atomic_path(path: Path) -> Iterator[Path]:
+    """Give a new empty file next to `path`; what the block writes into it replaces `path` when the block ends.
 
-    The bytes are on the disk (fsync) before the file has its name, so that a crash leaves the old file or the new one;
-    not so where it need not be `lasting`. After an error the temporary file is removed and `path` is as it was. What
-    killed runs left of `path` is removed first, unless it is known that this run is `alone` in its folder.
+    The bytes are on the disk (fsync) before the file has its name, so that a crash leaves the old file or the new one.
+    After an error the temporary file is removed and `path` is as it was. What killed runs left of `path` is removed
+    first.
     """
-    if not alone:
-        remove_leftovers(path.parent, path.name)
-    with naming(path):
-        while True:
-            temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
-            lock = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666)
-            if _holds(lock) is not False and os.fstat(lock).st_nlink:  # else somebody took it for a leftover
-                break
-            os.close(lock)
-        try:
-            with naming(path, temporary):
-                yield temporary
-                _finish(temporary, lasting)
-                temporary.replace(path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
-        finally:
-            os.close(lock)
+    remove_leftovers(path.parent, path.name)
+    while True:
+        temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
+        lock = _opened(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        if _holds(lock) is not False and os.fstat(lock).st_nlink:  # else somebody took it for a leftover
+            break
+        os.close(lock)
+    try:
+        with naming(path, temporary):
+            yield temporary
+            _finish(temporary)
+            temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    finally:
+        os.close(lock)
 
 
 def remove_leftovers(folder: Path, name: str | None = None) -> None:
-    """Remove unfinished files of runs that were killed: those that were to take a `name` in a folder, or all in it."""
+    """Remove unfinished files of killed runs in a folder: those for a `name`, or all."""
     with suppress(OSError):  # of a folder that cannot be listed
         for entry in os.listdir(folder):
             if entry.endswith(".part") and (match := _PART.fullmatch(entry)) and name in (None, match[2]):
-                with suppress(OSError):  # it is finished by now, or a link, or somebody else's
-                    file = os.open(folder / entry, os.O_WRONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-                    try:
-                        if _holds(file):
-                            os.unlink(folder / entry)
-                    finally:
-                        os.close(file)
+                # An error: it is finished by now, or a link, or somebody else's.
+                with suppress(OSError), open(_opened(folder / entry, os.O_WRONLY | os.O_NONBLOCK), "wb") as file:
+                    if _holds(file.fileno()):
+                        os.unlink(folder / entry)
 
 
 def finished_path(path: str) -> str:
-    """Return the path that an unfinished file of `atomic_path` was to take, and any other path as it is."""
+    """Return the path for which `atomic_path` made an unfinished file, and any other path as it is."""
     match = _PART.fullmatch(path)
     return f"{match[1] or ''}{match[2]}" if match else path
 
 
 @contextmanager
 def staged_files(folder: Path) -> Iterator[Path]:
-    """Give a temporary folder inside `folder`, which is made; files written there go to `folder` when the block ends.
+    """Give a temporary folder inside `folder`, which is made; its files go to `folder` when the block ends.
 
     They replace those of the same names, each whole and all of one run together; others stay. After an error nothing
     has changed.
@@ -134,7 +130,7 @@ def staged_files(folder: Path) -> Iterator[Path]:
                 yield work / _NEW
                 paths = sorted((work / _NEW).iterdir())
                 for path in paths:
-                    _finish(path, lasting=True)
+                    _finish(path)
                 with written_alone(folder):
                     for path in paths:
                         path.replace(folder / path.name)
@@ -147,14 +143,14 @@ def staged_files(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def staged_folder(target: Path, is_ours: IsOurs, kind: str) -> Iterator[Path]:
-    """Give an empty folder that takes the place of `target` when the block ends without an error.
+    """Give an empty folder that replaces `target` when the block ends without an error.
 
-    It lies in a work folder beside `target`, which bears a mark. An existing folder of ours is moved into that before
-    and deleted after; any other one with files in it is refused, so that nothing foreign is ever lost. Work folders of
-    runs that were killed are put right first: a folder of ours that was moved comes back, all else in them is removed.
+    It lies in a marked work folder next to `target`. An existing folder of ours is moved there before and deleted
+    after; any other one with files in it is refused. Work folders of runs that were killed are repaired first: a folder
+    of ours that was moved comes back, all else in them is removed.
 
-    Raises ConfigError, which calls what should be there a `kind`, when there is a file, a link, or a folder with other
-    files, or when another run is at work on it.
+    Raises ConfigError, which calls what it expects a `kind`, for a file, a link, a folder with other files, or another
+    run that writes it.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     prefix = f".{target.name}.airgs-"
@@ -180,10 +176,7 @@ def staged_folder(target: Path, is_ours: IsOurs, kind: str) -> Iterator[Path]:
 
 @contextmanager
 def written_alone(folder: Path, wait_s: float | None = None) -> Iterator[None]:
-    """Hold the only lock on this folder; the kernel frees it when the process dies.
-
-    Raises ConfigError where another run has it for longer than `wait_s`, by default WAIT_S.
-    """
+    """Hold the lock on this folder. Raises ConfigError where another run has it for longer than `wait_s`, or WAIT_S."""
     end = time.monotonic() + (WAIT_S if wait_s is None else wait_s)
     while (lock := _lock_of(folder)) is None:
         if time.monotonic() > end:
@@ -196,7 +189,7 @@ def written_alone(folder: Path, wait_s: float | None = None) -> Iterator[None]:
 
 
 def _lock_of(folder: Path) -> int | None:
-    """An open folder whose lock this process has; None where another has it, or has just put another folder there."""
+    """Return an open folder whose lock this process has; None where another has it or has just replaced the folder."""
     with suppress(FileNotFoundError), ExitStack() as opened:
         lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         opened.callback(os.close, lock)
@@ -207,7 +200,7 @@ def _lock_of(folder: Path) -> int | None:
 
 
 def _holds(file: int) -> bool | None:
-    """Whether this process has the lock of an open file now; None on a disk without locks."""
+    """Return whether this process has the lock of an open file now; None on a disk without locks."""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -217,22 +210,17 @@ def _holds(file: int) -> bool | None:
     return True
 
 
-def write_bytes(path: Path, data: bytes, lasting: bool = True, alone: bool = False) -> None:
-    """Write a file atomically, as `atomic_path` does."""
-    with (
-        atomic_path(path, lasting, alone) as temporary,
-        open(os.open(temporary, os.O_WRONLY | os.O_NOFOLLOW), "wb") as file,
-    ):
+def write_bytes(path: Path, data: bytes) -> None:
+    with atomic_path(path) as temporary, open(_opened(temporary, os.O_WRONLY), "wb") as file:
         file.write(data)
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write `to_json(value)`, indented, atomically."""
     write_bytes(path, f"{to_json(value, indent=1)}\n".encode())
 
 
 def to_json(value: Any, indent: int | None = None) -> str:
-    """JSON text of mappings, sequences and plain values; a float that is not finite becomes null, as JSON has none."""
+    """Return JSON of mappings, sequences and plain values; a float that is not finite becomes null."""
     return json.dumps(_plain(value), indent=indent, allow_nan=False)
 
 
@@ -244,14 +232,14 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _finish(path: Path, lasting: bool) -> None:
+def _finish(path: Path) -> None:
     """Have the bytes of a file on the disk. Raises OSError where a link is in its place."""
-    file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
-    try:
-        if lasting:
-            os.fsync(file)
-    finally:
-        os.close(file)
+    with open(_opened(path, os.O_RDONLY), "rb") as file:
+        os.fsync(file.fileno())
+
+
+def _opened(path: Path, flags: int, mode: int = 0o600) -> int:
+    return os.open(path, flags | os.O_NOFOLLOW, mode)
 
 
 def _expect_ours(target: Path, is_ours: IsOurs, kind: str) -> None:
@@ -265,21 +253,21 @@ def _expect_ours(target: Path, is_ours: IsOurs, kind: str) -> None:
 
 @contextmanager
 def _work_folder(parent: Path, prefix: str, target: Path | None = None) -> Iterator[Path]:
-    """Give a new marked folder with an empty folder in it; it is gone when the block ends. The lock is the mark's."""
+    """Give a new marked folder with an empty folder in it, which is removed when the block ends."""
     work = parent / f"{prefix}{secrets.token_hex(8)}"
     work.mkdir(0o700)
-    lock = os.open(work / _MARK_NAME, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
-    with ExitStack() as after:
-        after.callback(os.close, lock)
-        after.callback(_remove, work, target)
-        _holds(lock)
-        os.write(lock, _MARK)
-        (work / _NEW).mkdir()
-        yield work
+    with open(_opened(work / _MARK_NAME, os.O_RDWR | os.O_CREAT | os.O_EXCL), "wb", buffering=0) as mark:
+        try:
+            _holds(mark.fileno())
+            mark.write(_MARK)
+            (work / _NEW).mkdir()
+            yield work
+        finally:
+            _remove(work, target)
 
 
 def _clean_up(parent: Path, prefix: str, target: Path | None = None) -> bool:
-    """Remove work folders that nobody works in; returns whether somebody works in another one."""
+    """Remove work folders of dead runs; returns whether a living run has one."""
     own, busy = re.compile(rf"{re.escape(prefix)}[0-9a-f]{{16}}"), False
     for work in [path for path in parent.iterdir() if own.fullmatch(path.name) and not path.is_symlink()]:
         mark = work / _MARK_NAME
@@ -288,18 +276,15 @@ def _clean_up(parent: Path, prefix: str, target: Path | None = None) -> bool:
             with suppress(OSError):  # it is not empty, so it is not ours
                 work.rmdir()
             continue
-        lock = os.open(mark, os.O_RDWR | os.O_NOFOLLOW)
-        try:
-            if held := _holds(lock):
+        with open(_opened(mark, os.O_RDWR), "rb") as file:
+            if held := _holds(file.fileno()):
                 _remove(work, target)
             busy = busy or held is False
-        finally:
-            os.close(lock)
     return busy
 
 
 def _remove(work: Path, target: Path | None) -> None:
-    """Delete a work folder; what was to be replaced comes back where nothing has taken its place.
+    """Delete a work folder; what was to be replaced comes back where nothing has replaced it.
 
     It is called `_GONE` before any of it is deleted, so that what comes back is whole; the mark goes last.
     """

@@ -1,4 +1,4 @@
-"""What lies beside the frames of a sequence: sequence.json, usage.npz and ATTRIBUTION.txt.
+"""Other files in the folder of a sequence: sequence.json, usage.npz and ATTRIBUTION.txt.
 
 sequence.json has the frame rate, the first frames of groups, the background, an origin and notes for people; usage.npz
 how much each of the N Gaussians of a group contributes to the training views, as the trainer measured it: an array for
@@ -40,11 +40,11 @@ class Settings:
     keyframes: tuple[int, ...] | None = None  # first frames of groups
     background: Background = BLACK  # colour behind the scene
     notes: tuple[str, ...] = ()  # what people should know of the sequence, a sentence each; packages repeat them
-    origin: Origin = ZERO  # where the positions of frames are from; cameras beside them are where they are
+    origin: Origin = ZERO  # what to add to positions of frames; those of cameras need nothing
 
 
 def read_settings(folder: Path, frames: int) -> Settings:
-    """Return what the sequence.json of a folder with so many frames says, or the defaults. Raises SceneError."""
+    """Return what the sequence.json of a folder of `frames` frames says, or the defaults. Raises SceneError."""
     path = folder / SETTINGS_NAME
     if not path.exists():
         return Settings()
@@ -70,7 +70,7 @@ def read_settings(folder: Path, frames: int) -> Settings:
 
 
 def write_settings(folder: Path, settings: Settings) -> None:
-    """Writes it, atomically; of what is as by default, but for the frame rate, nothing is said."""
+    """Write sequence.json, atomically: the frame rate, and what differs from the defaults."""
     fps = settings.fps
     said: dict[str, Any] = {"fps": float(fps) if Fraction(str(float(fps))) == fps else str(fps)}
     for name in ("keyframes", "background", "origin", "notes"):
@@ -80,15 +80,12 @@ def write_settings(folder: Path, settings: Settings) -> None:
 
 
 def exact_number(text: str) -> Fraction:
-    """A number: 30, 29.97 or 30000/1001. Raises ValueError or ZeroDivisionError.
-
-    Powers of ten go through float64 and end at its largest: Fraction would write out all digits of 1e30000000.
-    """
+    """Return 30, 29.97 or 30000/1001 as a fraction; floats go through float64. Raises ValueError, ZeroDivisionError."""
     return Fraction(text) if "/" in text else Fraction(str(float(text)))
 
 
 def frame_rate(where: str, fps: Fraction | float) -> Fraction:
-    """Frames a second, to a millionth of a millionth. Raises SceneError outside of a frame a day to MAX_FPS."""
+    """Return frames a second with a denominator up to FINEST. Raises SceneError outside of a frame a day to MAX_FPS."""
     if not (isinstance(fps, Real) and MIN_FPS <= fps <= MAX_FPS):
         raise SceneError(f"{where}: expected 0 < fps <= {MAX_FPS}, at least a frame a day, got {fps}")
     return Fraction(str(fps)).limit_denominator(FINEST)  # 29.97 is 2997/100, not the nearest float
@@ -103,12 +100,12 @@ class Usage(Columns):
     hits: NDArray[np.int64]  # (N,) pixels where it is blended: the paper's usage frequency, literally
 
     def measure(self, name: str) -> NDArray[np.float64]:
-        """(N,) the measure of that name: max, sum or hits. Raises KeyError for any other."""
+        """Return the measure (N,) of a name: max, sum or hits."""
         return {"max": self.peak, "sum": self.total, "hits": self.hits.astype(np.float64)}[name]
 
 
 def save_usage(path: Path, groups: Mapping[tuple[int, int], Usage]) -> None:
-    """Writes the usage of groups, given by their frames (start, stop), as .npz, whole or not at all."""
+    """Write the usage of groups, given by their frames (start, stop), as .npz, whole or not at all."""
     arrays: dict[str, NDArray] = {}
     for (start, stop), usage in groups.items():
         arrays |= {f"{start}:{stop}/{name}": column for name, column in usage.columns().items()}
@@ -117,7 +114,7 @@ def save_usage(path: Path, groups: Mapping[tuple[int, int], Usage]) -> None:
 
 
 def load_usage(path: Path, start: int, stop: int, count: int) -> Usage | None:
-    """Reads the usage of the group of frames [start, stop) of so many rows; None when the file has no such group.
+    """Return the usage of a group of `count` rows; None when the file has no such group.
 
     Raises SceneError when the file is not one that `save_usage` wrote, or has more rows: they are not unpacked.
     """
@@ -136,7 +133,7 @@ def load_usage(path: Path, start: int, stop: int, count: int) -> Usage | None:
 
 
 def read_attribution(folder: Path) -> str:
-    """Who made a scene: the text of ATTRIBUTION.txt in its folder, empty without the file. Raises SceneError."""
+    """Return the text of ATTRIBUTION.txt in a folder, empty without the file. Raises SceneError."""
     file = folder / ATTRIBUTION_NAME
     with expecting(file, "UTF-8 text"):
         return file.read_text(encoding="utf-8-sig").strip() if file.is_file() else ""

@@ -25,13 +25,13 @@ NEAR_SHARE = 1 / 400  # of the distance to what is seen: near plane of cameras t
 MOST_NEAR = 1 / 3  # of it: near plane of cameras whose files have one in units of their own, at most
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])  # turns y and z of a camera around; its own inverse
 FIELDS = 0.1, 179.0  # degrees from top to bottom that a camera may see, as packages have it
-UP = np.array([0.0, -1.0, 0.0])  # where nobody tells it: structure from motion mostly leaves it so
+UP = np.array([0.0, -1.0, 0.0])  # by default: structure from motion mostly leaves it so
 FIELD_OF_VIEW = np.radians(50)  # of both axes
 ELEVATIONS = np.radians([10.0, 35.0])  # above the horizon; neighbouring cameras take turns
 COVERED = 0.98  # of all weight lies within a view, at least
 MARGIN = 1.25  # around that
 WIDTHS = 4  # of a Gaussian that is seen alone, from which it is seen
-LEAST_SHARE = 1e-6  # keeps a weighted median of nothing, and a ring of radius 0, out
+LEAST_WEIGHT = 1e-6  # of a Gaussian, so that a weighted median exists; of a distance, so that no ring has radius 0
 GOLDEN_ANGLE = np.pi * (3 - 5**0.5)  # radians; successive turns by it spread evenly over a sphere (Vogel 1979)
 
 
@@ -63,10 +63,10 @@ class Camera:
         fov_y: float = 50.0,
         name: str = "view",
     ) -> Camera:
-        """A camera of `size` (width, height) pixels at `position` (3,) that looks at `target` (3,), world units.
+        """Return a camera of `size` (width, height) pixels at `position` (3,) that looks at `target` (3,), world units.
 
         `up` (3,) points up in the picture, by default (0, -1, 0), as structure from motion mostly leaves it; `fov_y` is
-        the vertical field of view in degrees. Raises SceneError for a camera that is none.
+        the vertical field of view in degrees. Raises SceneError for what is no camera.
         """
         at, to, above = (_numbers(*given, (3,)) for given in (("position", position), ("target", target), ("up", up)))
         if np.array_equal(at, to) or not above.any():
@@ -84,12 +84,12 @@ class Camera:
         intrinsics: ArrayLike | None = None,
         name: str = "view",
     ) -> Camera:
-        """A camera of `size` (width, height) pixels from one of two matrices, (4, 4) or (3, 4), and one of two lenses.
+        """Return a camera of `size` (width, height) pixels from one of two matrices and one of two lenses.
 
         Its axes are OpenCV's: x to the right, y down, z forward. For a pose of OpenGL, Blender or NeRF, whose y is up
         and z backward, give `pose @ np.diag([1, -1, -1, 1])`. `fov_y` is the vertical field of view in degrees, of
         square pixels about the middle; `intrinsics` (3, 3) are fx, 0, cx; 0, fy, cy; 0, 0, 1 in pixels. Raises
-        SceneError for a camera that is none.
+        SceneError for what is no camera.
         """
         if (camera_to_world is None) == (world_to_camera is None) or (fov_y is None) == (intrinsics is None):
             choice = "expected camera_to_world or world_to_camera, and fov_y or intrinsics"
@@ -97,17 +97,15 @@ class Camera:
         width, height = _numbers("size", size, (2,)).astype(int).tolist()
         if intrinsics is None:
             half = np.radians(float(_numbers("fov_y", fov_y, ()))) / 2
-            fx = fy = float(height / 2 / np.tan(half)) if 0 < half < np.pi / 2 else 0.0
-            cx, cy = width / 2, height / 2
-        else:
-            (fx, _, cx), (_, fy, cy), _ = _numbers("intrinsics", intrinsics, (3, 3)).tolist()
-        given, value = ("world_to_camera", world_to_camera)
-        if camera_to_world is not None:
-            given, value = ("camera_to_world", camera_to_world)
+            focal = float(height / 2 / np.tan(half)) if 0 < half < np.pi / 2 else 0.0
+            intrinsics = [[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]
+        (fx, _, cx), (_, fy, cy), _ = _numbers("intrinsics", intrinsics, (3, 3)).tolist()
+        given = "camera_to_world" if world_to_camera is None else "world_to_camera"
+        value = camera_to_world if world_to_camera is None else world_to_camera
         rows = _numbers(given, value, (4, 4), (3, 4))
         matrix = np.concatenate([rows, np.eye(4)[len(rows) :]])
         try:
-            matrix = matrix if camera_to_world is None else np.linalg.inv(matrix)
+            matrix = np.linalg.inv(matrix) if world_to_camera is None else matrix
             camera = Camera(name, width, height, fx, fy, cx, cy, matrix)
             check_camera(camera)
         except ValueError as error:  # a matrix without an inverse, too
@@ -116,17 +114,17 @@ class Camera:
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """(3,) the centre of the camera in world units."""
+        """The centre (3,) of the camera in world units."""
         return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
 
     @property
     def held_out(self) -> bool:
-        """Return whether nothing may be fitted to what this camera sees, so that quality can be measured on it."""
+        """Whether nothing may be fitted to what this camera sees, so that quality can be measured on it."""
         return self.split == "test"
 
 
 def check_camera(c: Camera) -> None:
-    """Raise ValueError for a camera that is none, of no size, without focal length or at no place."""
+    """Raise ValueError for a camera without a size, a focal length or a pose."""
     numbers = np.array([c.fx, c.fy, c.cx, c.cy, *c.world_to_camera.ravel()])
     if not np.isfinite(numbers).all():
         raise ValueError(f"camera {c.name} has numbers that are not finite")
@@ -144,7 +142,7 @@ def check_camera(c: Camera) -> None:
 
 
 def _numbers(name: str, value: ArrayLike | None, *shapes: tuple[int, ...]) -> NDArray[np.float64]:
-    """Finite numbers of one of some shapes. Raises SceneError for anything else."""
+    """Return finite numbers of one of some shapes. Raises SceneError for anything else."""
     try:
         found = np.asarray(value, np.float64)
     except (TypeError, ValueError):
@@ -164,39 +162,38 @@ def look_at(
     fov_y: float,
     name: str,
 ) -> Camera:
-    """A square camera of `size` x `size` pixels at `position` (3,) that looks at `target` (3,), world units.
-
-    `up` (3,) points up in the picture; `fov_y` is the field of view in radians.
-    """
+    """Return a square camera at `position` (3,) that looks at `target` (3,); `fov_y` in radians, `size` in pixels."""
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, up)
     if np.linalg.norm(right) < 1e-6:  # looking along `up`, right would be 0 / 0: any right vector will do
         right = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])
     right /= np.linalg.norm(right)
     rotation = np.array([right, np.cross(forward, right), forward])
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation
-    matrix[:3, 3] = -rotation @ position
     focal = size / 2 / np.tan(fov_y / 2)
-    return Camera(name, size, size, focal, focal, size / 2, size / 2, matrix)
+    return Camera(name, size, size, focal, focal, size / 2, size / 2, rigid(rotation, -rotation @ position))
+
+
+def rigid(turn: NDArray[np.float64], shift: ArrayLike) -> NDArray[np.float64]:
+    """Return the (4, 4) matrix that turns by (3, 3), then shifts by (3,)."""
+    return np.vstack([np.column_stack([turn, shift]), [0.0, 0.0, 0.0, 1.0]])
 
 
 def resized(camera: Camera, share: float) -> Camera:
-    """The camera with `share` of the pixels on either side, at least 8; a share of 1 or more changes nothing."""
+    """Return the camera with `share` of the pixels on either side, at least 8; unchanged for a share of 1 or more."""
     if share >= 1:
         return camera
     return with_pixels(camera, *(max(8, round(share * side)) for side in (camera.width, camera.height)))
 
 
 def with_pixels(camera: Camera, width: int, height: int) -> Camera:
-    """The camera with so many pixels on either side; it sees the same."""
+    """Return the camera with another number of pixels, which sees the same."""
     x, y = width / camera.width, height / camera.height
     fx, fy, cx, cy = camera.fx * x, camera.fy * y, camera.cx * x, camera.cy * y
     return replace(camera, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
 
 
 def placed(camera: Camera, shift: NDArray[np.float64], scale: float, turn: NDArray[np.float64] | None = None) -> Camera:
-    """The camera that sees of a scene what this one sees, once that was turned (3, 3), shifted (3,), and scaled."""
+    """Return the camera that sees the same of a scene which was turned (3, 3), shifted (3,), and then scaled."""
     view = camera.world_to_camera.copy()
     if turn is not None:
         view[:3, :3] = view[:3, :3] @ turn.T
@@ -205,38 +202,31 @@ def placed(camera: Camera, shift: NDArray[np.float64], scale: float, turn: NDArr
 
 
 def cameras_from(origin: ArrayLike, cameras: Iterable[Camera]) -> tuple[Camera, ...]:
-    """The cameras in coordinates from an origin (3,)."""
+    """Return the cameras in coordinates from an origin (3,)."""
     shift = -np.asarray(origin, np.float64)
     return tuple(placed(camera, shift, 1.0) for camera in cameras) if shift.any() else tuple(cameras)
 
 
 def with_near_planes(cameras: Sequence[Camera], gaussians: Gaussians) -> list[Camera]:
-    """The cameras with near planes in proportion to what they see of a scene.
-
-    A camera that has none gets NEAR_SHARE of the `scene_scale`; others keep theirs, as far as it is at most MOST_NEAR
-    of that.
-    """
+    """Return the cameras with near planes: NEAR_SHARE of the `scene_scale`, or their own up to MOST_NEAR of it."""
     return at_scale(cameras, scene_scale(cameras, gaussians.means.astype(np.float64), gaussians.opacities()))
 
 
 def at_scale(cameras: Sequence[Camera], scale: float) -> list[Camera]:
-    """`with_near_planes` for a scale that is known."""
     return [replace(c, near=min(c.near, MOST_NEAR * scale) if c.near else NEAR_SHARE * scale) for c in cameras]
 
 
 def rig_scale(cameras: Sequence[Camera], points: NDArray[Any] | None) -> float:
-    """`scene_scale` of points (P, 3) in the scene; without any the median distance to where cameras look, or theirs to
-    each other, whichever is larger.
-    """
+    """Return the `scene_scale` of points (P, 3); without any, the distance to where cameras look, or between them."""
     if points is not None and len(points):
         return scene_scale(cameras, points, np.ones(len(points)))
     places = np.stack([camera.position for camera in cameras])
-    apart = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max())
-    return max(float(np.median(np.linalg.norm(places - looked_at(cameras), axis=1))), apart) or 1.0
+    radius = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max())
+    return max(float(np.median(np.linalg.norm(places - looked_at(cameras), axis=1))), radius) or 1.0
 
 
 def looked_at(cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """(3,) the point nearest to all optical axes, by least squares."""
+    """Return the point (3,) nearest to all optical axes, by least squares."""
     total, right = 1e-6 * np.eye(3), np.zeros(3)  # parallel axes meet nowhere: the system would be singular
     for camera in cameras:
         forward = camera.world_to_camera[2, :3]
@@ -247,10 +237,9 @@ def looked_at(cameras: Sequence[Camera]) -> NDArray[np.float64]:
 
 
 def scene_scale(cameras: Sequence[Camera], means: NDArray[Any], weights: NDArray[Any]) -> float:
-    """The size of a scene in its own units, above 0: the median distance from cameras to what they see.
+    """Return the median distance from cameras to what they see, above 0: the weighted median depth of points (N, 3).
 
-    What one sees is the weighted median of the depths of finite points (N, 3) in its picture. Where nobody sees any it
-    is how far they are from their middle, but for the outermost; where they have no extent either, 1.
+    Where no camera sees any, it is the extent of the points; without one, 1.
     """
     finite = np.isfinite(means).all(axis=1) & (weights > 0)
     means, weights = means[finite].astype(np.float64), weights[finite].astype(np.float64)
@@ -260,14 +249,14 @@ def scene_scale(cameras: Sequence[Camera], means: NDArray[Any], weights: NDArray
 
 
 def in_picture(c: Camera, points: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """(N,) whether a camera has finite points (N, 3) in its picture, and (N,) their depths."""
+    """Return whether a camera has finite points (N, 3) in its picture, (N,), and their depths (N,)."""
     x, y, z = c.world_to_camera[:3, :3] @ points.T + c.world_to_camera[:3, 3:]
     across, down = np.abs(c.fx * x + (c.cx - c.width / 2) * z), np.abs(c.fy * y + (c.cy - c.height / 2) * z)
     return (z > 0) & (across <= c.width / 2 * z) & (down <= c.height / 2 * z), z
 
 
 def extent_of(means: NDArray[Any], weights: NDArray[Any]) -> tuple[NDArray[np.float64], float]:
-    """(3,) the middle of weighted points (N, 3), and how far they are from it, but for the outermost; 1 for no way."""
+    """Return the middle (3,) of weighted points (N, 3), and the distance that holds COVERED of the weight, or 1."""
     if not len(means):
         return np.zeros(3), 1.0
     middle = np.array([weighted_quantile(values, weights, 0.5) for values in means.T])
@@ -275,15 +264,15 @@ def extent_of(means: NDArray[Any], weights: NDArray[Any]) -> tuple[NDArray[np.fl
 
 
 def training_views(cameras: Sequence[Camera]) -> list[Camera]:
-    """The cameras that encoding and training may look at: all but held-out ones, or all if every one is held out."""
+    """Return the cameras that encoding and training may use: all but held-out ones, or all if every one is held out."""
     return [c for c in cameras if not c.held_out] or list(cameras)
 
 
 def orbit_views(gaussians: Gaussians, count: int = 8, size: int = 256, up: NDArray[np.float64] = UP) -> list[Camera]:
-    """`count` square cameras of `size` pixels on a ring around the scene, which is upright along `up` (3,).
+    """Return `count` square cameras of `size` pixels on a ring around the scene, which is upright along `up` (3,).
 
     They look at the middle of the scene, each from as far away as shows 98 % of the opacity with a margin. Rows that
-    are not finite are passed over.
+    are not finite are ignored.
     """
     turns = 2 * np.pi * np.arange(count) / max(count, 1)
     rises = np.resize(ELEVATIONS, count)
@@ -298,23 +287,20 @@ def dome_views(
     up: NDArray[np.float64],
     rises: tuple[float, float] = (-np.pi / 2, np.pi / 2),
 ) -> list[Camera]:
-    """`count` square cameras of `size` pixels, all around the scene or over a dome that is upright along `up` (3,).
-
-    None is lower or higher than `rises`, in radians above the horizon. Else they are as those of `orbit_views`.
-    """
+    """Return cameras as `orbit_views` does, spread evenly between two elevations, radians above the horizon."""
     low, high = np.sin(rises)
     return _views_from(gaussians, spiral(count, float(low), float(high)), up, size)
 
 
 def _views_from(gaussians: Gaussians, sides: NDArray[np.float64], up: NDArray[np.float64], size: int) -> list[Camera]:
-    """Cameras that look at the scene from (C, 3) sides of it, unit length; the first coordinate is along `up`."""
+    """Return cameras from (C, 3) sides of the scene, unit length; the first coordinate is along `up`."""
     across = np.linalg.svd(np.asarray(up, np.float64)[:, None])[0].T[1:]  # the first is `up` or its opposite
     sides = sides @ np.stack([up / np.linalg.norm(up), *across])
     return [side_view(gaussians, side, up, size, f"orbit{i:02d}") for i, side in enumerate(sides)]
 
 
 def spiral(count: int, lowest: float = -1.0, highest: float = 1.0) -> NDArray[np.float64]:
-    """(count, 3) directions of length 1, evenly over the sphere whose first coordinate is in these bounds."""
+    """Return (count, 3) unit vectors, evenly over the sphere whose first coordinate is in these bounds."""
     rises = highest - (highest - lowest) * (np.arange(count) + 0.5) / max(count, 1)
     turns, across = GOLDEN_ANGLE * np.arange(count), np.sqrt(1 - rises**2)
     return np.stack([rises, across * np.cos(turns), across * np.sin(turns)], axis=1)
@@ -328,14 +314,11 @@ def side_view(
     name: str,
     weights: NDArray[np.float64] | None = None,
 ) -> Camera:
-    """A square camera that sees the whole scene from `side` (3,), of length 1, as those of `orbit_views`.
-
-    `weights` (N,): what each row counts, by default its opacity.
-    """
+    """Return a square camera that sees the scene from a unit vector (3,); `weights` (N,) default to opacity."""
     weights = gaussians.opacities().astype(np.float64) if weights is None else weights
     finite = np.isfinite(gaussians.means).all(axis=1) & np.isfinite(weights)
     if finite.any():
-        means, weights = gaussians.means[finite].astype(np.float64), weights[finite] + LEAST_SHARE
+        means, weights = gaussians.means[finite].astype(np.float64), weights[finite] + LEAST_WEIGHT
     else:
         means, weights = np.zeros((1, 3)), np.ones(1)
     ends = (1 - COVERED) / 2, (1 + COVERED) / 2
@@ -345,18 +328,18 @@ def side_view(
     x, y, z = matrix[:3, :3] @ offsets.T
     wanted = MARGIN / np.tan(FIELD_OF_VIEW / 2) * np.maximum(np.abs(x), np.abs(y)) - z
     radius = weighted_quantile(np.linalg.norm(offsets, axis=1), weights, COVERED)
-    # A view from no distance has no direction, nor has one whose distance is lost beside its centre in float32; a
+    # A view from no distance has no direction, nor has one whose distance float32 loses next to its centre; a
     # single Gaussian is seen from without.
     sizes = gaussians.log_scales.max(axis=1)
     width = float(np.exp(np.median(np.append(sizes[np.isfinite(sizes)], -LARGEST)).clip(-LARGEST, LARGEST)))
-    least = max(MARGIN * radius, WIDTHS * width, float(np.abs(centre).max()) * LEAST_SHARE)
+    least = max(MARGIN * radius, WIDTHS * width, float(np.abs(centre).max()) * LEAST_WEIGHT)
     away = max(weighted_quantile(wanted, weights, COVERED), least)
     camera = look_at(centre + away * side, centre, up, size=size, fov_y=FIELD_OF_VIEW, name=name)
     return replace(camera, near=NEAR_SHARE * away)
 
 
 def weighted_quantile(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
-    """The least value that `share` of the weight does not exceed."""
+    """Return the least value that `share` of the weight does not exceed."""
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(total, share * total[-1])])

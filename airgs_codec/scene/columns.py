@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
@@ -22,28 +22,26 @@ class Columns:
     """
 
     def columns(self) -> dict[str, Any]:
-        """The columns by name, in the order in which they are declared."""
         return {f.name: getattr(self, f.name) for f in fields(self) if not f.metadata}
 
     def __len__(self) -> int:
         return len(next(iter(self.columns().values())))
 
-    def take(self, rows: Rows) -> Self:
-        """The rows that an index array, a mask or a slice picks; a slice copies nothing."""
-        return self.combined([self], lambda same: same[0][rows])
+    @property
+    def nbytes(self) -> int:
+        return sum(getattr(column, "nbytes", 0) for column in self.columns().values())
 
-    def chunks(self, size: int) -> Iterator[Self]:
-        """All rows in order, at most `size` at a time."""
-        return (self.take(slice(start, start + size)) for start in range(0, len(self), size))
+    def take(self, rows: Rows) -> Self:
+        """Return the rows that an index array, a mask or a slice picks; a slice copies nothing."""
+        return self.combined([self], lambda same: same[0][rows])
 
     @classmethod
     def join(cls, parts: Sequence[Self]) -> Self:
-        """The rows of all parts, at least one, one after another."""
         return cls.combined(parts, np.concatenate)
 
     @classmethod
     def combined(cls, parts: Sequence[Self], combine: Callable[[list[Any]], NDArray[Any]]) -> Self:
-        """Makes each column of the columns of that name of all parts, at least one; the first has what is shared."""
+        """Combine the columns of each name of all parts, at least one; what is shared is that of the first."""
 
         def one(same: list[Any]) -> Any:
             if isinstance(same[0], Columns):

@@ -16,21 +16,15 @@ from typing import Any
 import numpy as np
 
 from airgs_codec.errors import SceneError
-from airgs_codec.places.whole import expect_plain
+from airgs_codec.places.whole import BROKEN, expect_plain
 
 BOM = b"\xef\xbb\xbf"  # that Windows puts before UTF-8
-
-_BROKEN = (
-    *(ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, RuntimeError),
-    *(struct.error, zlib.error, zipfile.BadZipFile),  # zipfile raises RuntimeError, too
-    MemoryError,  # for an array of more bytes than there are, which the header of an .npy file says
-)
-_HEADER = (SyntaxError, TokenError)  # what numpy raises for a broken header is Python's, which it looks like
+SPLATV_MAGIC = b"\x4b\x67\0\0"
 
 
 @contextmanager
 def expecting(path: Path, what: str) -> Iterator[None]:
-    """Turns what goes wrong while `path` is read as `what` into a SceneError of one line."""
+    """Turn what goes wrong while `path` is read as `what` into a SceneError of one line."""
     try:
         expect_plain(path)
         with np.errstate(all="ignore"):  # what is not finite in the end is refused
@@ -39,31 +33,20 @@ def expecting(path: Path, what: str) -> Iterator[None]:
         raise
     except OSError as error:
         raise SceneError(f"{path}: expected {what}: {error.strerror or error}") from error
-    except _HEADER as error:
+    except (SyntaxError, TokenError) as error:  # of the header of an .npy file, which numpy parses as Python
         raise SceneError(f"{path}: expected {what}: its header is broken") from error
-    except _BROKEN as error:
+    except (*BROKEN, struct.error, zlib.error, zipfile.BadZipFile) as error:
         reason = f"no {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
         raise SceneError(f"{path}: expected {what}: {' '.join(reason.split())[:200]}") from error
 
 
-@contextmanager
-def reading(path: Path) -> Iterator[None]:
-    """Turns an OSError of the block into a SceneError that names the file."""
-    try:
-        expect_plain(path)
-        yield
-    except OSError as error:
-        raise SceneError(f"{path}: cannot read: {error.strerror}") from error
-
-
 def read_json(path: Path) -> Any:
-    """Return what a JSON file holds. Raises SceneError when it is not JSON or cannot be read."""
+    """Return what a JSON file holds. Raises SceneError."""
     with expecting(path, "JSON"):
         return json.loads(path.read_text(encoding="utf-8-sig"))
 
 
 def read_object(path: Path) -> dict[str, Any]:
-    """The object in a JSON file. Raises SceneError when there is none."""
     data = read_json(path)
     if not isinstance(data, dict):
         raise SceneError(f"{path}: expected a JSON object, got {type(data).__name__}")
@@ -71,10 +54,7 @@ def read_object(path: Path) -> dict[str, Any]:
 
 
 class Cursor:
-    """A place in bytes, which are read piece by piece, little-endian.
-
-    Every method raises ValueError where the bytes end before what is asked for.
-    """
+    """Bytes that are read piece by piece, little-endian; ValueError where they end before what is asked for."""
 
     def __init__(self, data: bytes | mmap.mmap) -> None:
         self.data = data
@@ -82,7 +62,7 @@ class Cursor:
 
     @classmethod
     def open(cls, path: Path) -> Cursor:
-        """At the start of a file, which is mapped, not read. Raises OSError."""
+        """Map a file. Raises OSError."""
         if path.stat().st_size == 0:  # cannot be mapped
             return cls(b"")
         with path.open("rb") as file:
@@ -95,7 +75,6 @@ class Cursor:
         return start
 
     def take(self, form: str) -> tuple[Any, ...]:
-        """Values in the form that `struct` knows."""
         return struct.unpack_from(f"<{form}", self.data, self.skip(struct.calcsize(f"<{form}")))
 
     def piece(self, count: int) -> bytes:
@@ -107,3 +86,12 @@ class Cursor:
         if end < 0:
             raise ValueError("a name has no end")
         return self.piece(end + 1 - self.at)[:-1].decode()
+
+
+def open_splatv(path: Path) -> tuple[Cursor, list[dict[str, Any]]]:
+    """Return the bytes of a .splatv, from its rows on, and the chunks of its header. Raises what `expecting` knows."""
+    cursor = Cursor.open(path)
+    magic, length = cursor.take("4sI")
+    if magic != SPLATV_MAGIC:
+        raise ValueError(f"got {magic!r}")
+    return cursor, json.loads(cursor.piece(length))

@@ -28,7 +28,7 @@ LARGEST = 30.0  # ln(world units) of a scale that counts: the squares of larger 
 SMALL_ANGLE = 1e-8  # radians, below which sin(a/2)/a is 1/2 to float64 precision; above it the division is safe
 Floats = NDArray[np.floating]
 _SHAPES = {"means": (3,), "quaternions": (4,), "log_scales": (3,), "opacity_logits": (), "sh_dc": (3,)}  # past N
-# Each step moves the bits of a 21-bit number further apart: shift, then keep the bits of the mask.
+# Each step moves the bits of a 21-bit number away from each other: shift, then mask.
 _SPREAD = (
     (32, 0x001F00000000FFFF),
     (16, 0x001F0000FF0000FF),
@@ -56,8 +56,8 @@ class Gaussians(Columns):
     The covariance of a Gaussian is R S S^T R^T, with R its rotation and S the diagonal of its scales; its colour seen
     along direction d is max(0, 0.5 + SH(d)) (3D Gaussian Splatting, Kerbl et al. 2023).
 
-    Tensors of torch become arrays. Raises SceneError for an array of another shape. Numbers are not looked at: what is
-    not finite is repaired later.
+    Tensors of torch become arrays. Raises SceneError for an array of another shape. Numbers that are not finite
+    are repaired later.
     """
 
     means: NDArray[np.float32]
@@ -90,27 +90,27 @@ class Gaussians(Columns):
         return SH_REST.index(self.sh_rest.shape[1])
 
     def with_degree(self, degree: int) -> Gaussians:
-        """The same Gaussians without the SH bands above `degree`, which is at most theirs."""
+        """Return the same Gaussians without the SH bands above `degree`, which is at most theirs."""
         return replace(self, sh_rest=self.sh_rest[:, : SH_REST[degree]])
 
     def placed(self, shift: NDArray[np.float64], scale: float) -> Gaussians:
-        """The same shifted by (3,), and then scaled by a factor above 0."""
+        """Return the same shifted by (3,), and then scaled by a factor above 0."""
         means = (self.means + shift) * scale
         sizes = self.log_scales + np.float32(math.log(scale))
         return replace(self, means=means.astype(np.float32), log_scales=sizes.astype(np.float32))
 
     def opacities(self) -> NDArray[np.float32]:
-        """(N,) opacity alpha in [0, 1], the sigmoid of the logits."""
+        """Return opacity alpha in [0, 1], (N,), the sigmoid of the logits."""
         return sigmoid(self.opacity_logits)
 
     def areas(self) -> NDArray[np.float64]:
-        """(N,) product of a row's two larger scales and its opacity: how much it can cover, in square world units."""
+        """Return the product (N,) of the two larger scales and opacity, in square world units: what rows can cover."""
         scales = np.sort(self.log_scales.astype(np.float64), axis=1)
         return np.exp(np.minimum(scales[:, 1] + scales[:, 2], 2 * LARGEST)) * self.opacities()
 
 
 def as_floats(where: str, value: Any, wide: bool = False) -> NDArray[Any]:
-    """Converts an array or a torch tensor to float32, without a copy where it is that; doubles stay where `wide`.
+    """Return an array or a torch tensor as float32, without a copy where it is that; doubles stay where `wide`.
 
     Raises SceneError, which begins with `where`, for what is no array of real numbers.
     """
@@ -127,9 +127,9 @@ def as_floats(where: str, value: Any, wide: bool = False) -> NDArray[Any]:
 
 
 def mean_frame(frames: Sequence[Gaussians]) -> Gaussians:
-    """Averages frames of the same rows, each row weighed by its alpha, so that what nobody sees does not count.
+    """Return the mean of frames of the same rows, each row weighed by its alpha.
 
-    Frames in which a row is far from the scene count less, by the area that it takes in pictures there. Alpha itself is
+    Frames in which a row is far from the scene count less, by the area that it takes in pictures. Alpha itself is
     averaged plainly; of q and -q that is taken which is nearer to the middle frame's. Frames are read one by one.
     """
     middle = frames[len(frames) // 2]
@@ -138,7 +138,7 @@ def mean_frame(frames: Sequence[Gaussians]) -> Gaussians:
     weight = np.zeros(len(middle))
 
     def weights(g: Gaussians) -> Floats:
-        """Above 0, so that frames of rows that are never seen count alike."""
+        """Return weights above 0, so that frames of rows that are never seen count equally."""
         return (g.opacities().astype(np.float64) + LEAST_SHARE) / np.maximum(remoteness(g), 1) ** 2
 
     for g in frames:
@@ -160,25 +160,25 @@ def mean_frame(frames: Sequence[Gaussians]) -> Gaussians:
 
 
 def remoteness_in(scene: Gaussians) -> Callable[[Gaussians], NDArray[np.float64]]:
-    """Measures how far rows are from the middle of a scene: (N,), above 1 where it is FAR times the median distance."""
+    """Return a measure (N,) of how far rows are from the middle of a scene, 1 at FAR times the median distance."""
     middle = np.median(scene.means, axis=0).astype(np.float64)
     far = FAR * float(np.median(np.abs(scene.means - middle).max(axis=1)))
     return lambda g: np.abs(g.means - middle).max(axis=1) / (far or np.inf)
 
 
 def mix_rows(a: Gaussians, b: Gaussians, choose: NDArray[np.bool_]) -> Gaussians:
-    """Rows of `a` where `choose` (N,) says so, else those of `b`."""
+    """Return rows of `a` where `choose` (N,) says so, else those of `b`."""
     return Gaussians.combined([a, b], lambda ab: np.where(choose.reshape(-1, *[1] * (ab[0].ndim - 1)), *ab))
 
 
 def sigmoid(x: NDArray[np.floating]) -> NDArray:
-    """1 / (1 + e^-x) without overflow; -inf gives 0 and inf gives 1."""
+    """Return 1 / (1 + e^-x) without overflow; -inf gives 0 and inf gives 1."""
     z = np.exp(-np.abs(x))
     return np.where(x >= 0, 1 / (1 + z), z / (1 + z)).astype(np.asarray(x).dtype)
 
 
 def logits_of(alpha: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Logits of opacities in [0, 1], those nearer to 0 or 1 than 1/1020 as that, so that none is infinite."""
+    """Return logits of opacities in [0, 1], those nearer to 0 or 1 than 1/1020 as that, so that none is infinite."""
     alpha = alpha.astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         logits = np.log(alpha / (1 - alpha))
@@ -186,13 +186,13 @@ def logits_of(alpha: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def logs_of(sizes: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Logarithms of sizes; -inf of 0, NaN of NaN and of what is negative, which is no size."""
+    """Return logarithms of sizes; -inf of 0, NaN of NaN and of negative ones."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.log(sizes).astype(np.float32)
 
 
 def to_rotation_vector(quaternions: Floats) -> Floats:
-    """(..., 4) unit quaternions -> (..., 3) rotation vectors with an angle in [0, pi]; q and -q give the same."""
+    """Return rotation vectors (..., 3), angles in [0, pi], of unit quaternions (..., 4); q and -q give the same."""
     q = np.where(quaternions[..., :1] < 0, -quaternions, quaternions)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2 * np.arctan2(sine, q[..., :1])
@@ -200,14 +200,14 @@ def to_rotation_vector(quaternions: Floats) -> Floats:
 
 
 def from_rotation_vector(vectors: Floats) -> Floats:
-    """(..., 3) rotation vectors of any angle -> (..., 4) unit quaternions."""
+    """Return unit quaternions (..., 4) of rotation vectors (..., 3) of any angle."""
     angle = np.sqrt(np.einsum("...i,...i", vectors, vectors))[..., None]
     factor = np.where(angle > SMALL_ANGLE, np.sin(angle / 2) / np.maximum(angle, SMALL_ANGLE), 0.5)
     return np.concatenate([np.cos(angle / 2), factor * vectors], axis=-1).astype(vectors.dtype)
 
 
 def multiply(a: Floats, b: Floats) -> Floats:
-    """The Hamilton product a b of (..., 4) quaternions: the rotation by b, then by a."""
+    """Return the Hamilton product a b of (..., 4) quaternions: the rotation by b, then by a."""
     aw, ax, ay, az = (a[..., i] for i in range(4))
     bw, bx, by, bz = (b[..., i] for i in range(4))
     w = aw * bw - ax * bx - ay * by - az * bz
@@ -218,24 +218,23 @@ def multiply(a: Floats, b: Floats) -> Floats:
 
 
 def conjugate(q: Floats) -> Floats:
-    """(..., 4) unit quaternions -> their inverses."""
     return q * np.array([1, -1, -1, -1], q.dtype)
 
 
 def least_turned(g: Gaussians) -> NDArray[np.intp]:
-    """(N,) which of CUBE each of N unit quaternions must be followed by to be as near to no rotation as can be."""
+    """Return (N,) which of CUBE must follow each of N unit quaternions for the smallest rotation."""
     return np.asarray(np.abs(g.quaternions @ (CUBE * [1, -1, -1, -1]).T).argmax(axis=1))
 
 
 def rename_axes(g: Gaussians, cube: NDArray[np.intp]) -> Gaussians:
-    """Turns each row by a rotation (N,) of CUBE first and reorders its log-scales, so that it shows the same."""
+    """Turn each row by a rotation (N,) of CUBE first and reorder its log-scales, so that it shows the same."""
     axes = np.abs(to_matrices(CUBE)).argmax(axis=1)[cube]
     turned = multiply(g.quaternions.astype(np.float64), CUBE[cube]).astype(np.float32)
     return replace(g, quaternions=turned, log_scales=np.take_along_axis(g.log_scales, axes, axis=1))
 
 
 def to_matrices(quaternions: Floats) -> NDArray[np.float64]:
-    """(..., 4) quaternions of any length but 0 -> (..., 3, 3) rotations: column c is what axis c becomes."""
+    """Return rotations (..., 3, 3) of quaternions (..., 4) of any length but 0: column c is what axis c becomes."""
     q = np.asarray(quaternions, np.float64)
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     w, x, y, z = (q[..., i] for i in range(4))
@@ -248,7 +247,7 @@ def to_matrices(quaternions: Floats) -> NDArray[np.float64]:
 
 
 def morton_encode(index: NDArray[np.integer]) -> NDArray[np.uint64]:
-    """(M, 3) grid indices of at most 21 bits -> (M,) codes with bit 3b + axis = bit b of that axis."""
+    """Return codes (M,) of (M, 3) grid indices of at most 21 bits: bit 3b + axis is bit b of that axis."""
     code = np.zeros(len(index), np.uint64)
     for axis in range(3):
         v = index[:, axis].astype(np.uint64)
@@ -259,14 +258,14 @@ def morton_encode(index: NDArray[np.integer]) -> NDArray[np.uint64]:
 
 
 def morton_order(means: NDArray[np.floating], bits: int = 16) -> NDArray[np.intp]:
-    """(N,) rows along a Z-order curve through the box of `means` (N, 3), N > 0, in cells of 2^bits an axis."""
+    """Return rows (N,) along a Z-order curve through the box of `means` (N, 3), N > 0, in cells of 2^bits an axis."""
     low = means.min(axis=0).astype(np.float64)
     span = float((means.max(axis=0) - low).max()) or 1.0  # all in one place: 0 / 0
     return np.argsort(morton_encode(((means - low) / span * (2**bits - 1)).astype(np.int64)), kind="stable")
 
 
 def morton_decode(code: NDArray[np.uint64]) -> NDArray[np.uint32]:
-    """Inverse of `morton_encode`: (M,) codes -> (M, 3) grid indices."""
+    """Return the (M, 3) grid indices of codes (M,), the inverse of `morton_encode`."""
     index = np.empty((len(code), 3), np.uint32)
     for axis in range(3):
         v = (code >> np.uint64(axis)) & np.uint64(_SPREAD[-1][1])

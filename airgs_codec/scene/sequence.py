@@ -20,8 +20,8 @@ from airgs_codec.progress import Progress, silent, told
 from airgs_codec.scene import beside
 from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME, Usage
 from airgs_codec.scene.camera import BLACK, Background, Camera, cameras_from
-from airgs_codec.scene.cameras import CAMERA_NAMES, CAMERA_SUFFIXES, find_cameras, locate_cameras, read_posed
-from airgs_codec.scene.cameras.forms import distinct, told_of_lenses
+from airgs_codec.scene.cameras import CAMERA_NAMES, find_cameras, locate_cameras, read_posed
+from airgs_codec.scene.cameras.forms import distinct, lens_notes
 from airgs_codec.scene.formats import table
 from airgs_codec.scene.formats.clips import clip_of
 from airgs_codec.scene.formats.form import Axes, Bake, Clip, FrameFormat, FrameHeader
@@ -43,9 +43,8 @@ from airgs_codec.scene.gaussians import Gaussians
 if TYPE_CHECKING:
     from airgs_codec.media.movie import SoundTrack  # and PyAV with it
 
-BESIDE = (beside.ATTRIBUTION_NAME, *CAMERA_NAMES)  # what is copied with one file that is opened by its own address
+COMPANIONS = (beside.ATTRIBUTION_NAME, *CAMERA_NAMES)  # what is copied with one file that is opened by its own address
 IN_MEMORY = Path("frames in memory")  # in place of a file
-LONE = 2  # frames of a sequence that may be of another scene: where more are unlike, counts vary
 HELD_BYTES = 1 << 29  # of the frames of a group: more are read again and again, not held in memory
 
 
@@ -54,7 +53,7 @@ class GaussianSequence:
     """A sequence as `open_sequence` or `from_arrays` gives it: frames in display order, read when they are asked for.
 
     `len(s)`, `s[0]`, `s[-1]` and `for frame in s` are as of a list; a slice gives frames that are read when they are
-    asked for, too. `s.read(0)` is the same frame as `s[0]`. It can be pickled.
+    asked for. `s.read(0)` is the same frame as `s[0]`. It can be pickled.
     """
 
     folder: Path
@@ -85,15 +84,14 @@ class GaussianSequence:
         fps: Fraction | float = DEFAULT_FPS,
         cameras: Iterable[Camera] = (),
     ) -> GaussianSequence:
-        """A sequence of frames that a program has: Gaussians, or mappings of their arrays by name, of numpy or torch.
+        """Return a sequence of frames in memory: Gaussians, or mappings of their arrays by name, of numpy or torch.
 
-        A list of them stays in memory, without a copy of what is float32 there; what an iterator gives, and what other
-        processes need, is written to a temporary folder that goes with the sequence. One mapping whose arrays have time
-        as their first axis, (T, N, 3) and so on, is all frames. `sh_rest` may be left out. The background is that of
-        the first of the `cameras`.
+        A list stays in memory, without a copy of float32; what an iterator gives, and what other processes need, is
+        written to a temporary folder that lasts as long. One mapping whose arrays have time as their first axis,
+        (T, N, 3) and so on, is all frames. `sh_rest` may be left out. The background is that of the first camera.
 
-        Raises SceneError, which names frame and attribute, for an array of another shape than `Gaussians` tells, what
-        is not finite, a frame without rows, no frame, and SH degrees that differ.
+        Raises SceneError, which names frame and attribute, for another shape than `Gaussians` has, what is not finite,
+        a frame without rows, no frame, and SH degrees that differ.
         """
         views = tuple(argument("cameras", camera, Camera, "cameras") for camera in cameras)
         clip = clip_of(frames, fps)
@@ -109,7 +107,7 @@ class GaussianSequence:
 
     @property
     def axes(self) -> Axes | None:
-        """Which way is up, where the specification of the frames' format says it."""
+        """The direction of up, where the specification of the frames' format says it."""
         return None if self.clip else self.format.axes
 
     @property
@@ -119,7 +117,7 @@ class GaussianSequence:
 
     @property
     def attribution(self) -> str:
-        """Who made the scene: `credit`, else what ATTRIBUTION.txt says; empty without one. Raises SceneError."""
+        """The maker of the scene: `credit`, else the text of ATTRIBUTION.txt or empty. Raises SceneError."""
         if self.credit is not None:
             return self.credit
         with _naming(self.copied):
@@ -145,17 +143,14 @@ class GaussianSequence:
         return f"Sequence({place}: {len(self)} frames at {float(self.fps):g} a second)"
 
     def name_of(self, path: Path) -> str:
-        """A path for people: the address, where it was copied from one."""
+        """Return a path for people: the address, where it was copied from one."""
         return self.copied.named(str(path)) if self.copied else str(path)
 
     def count(self, frame: int) -> int:
         return len(self.orders[frame]) if frame in self.orders else self.headers[frame].count
 
     def usage(self, start: int, stop: int) -> Usage | None:
-        """What the trainer measured over all frames of the group [start, stop); None where it left no such group.
-
-        Rows that are in another order than in the files are not those that it measured.
-        """
+        """Return what the trainer measured over all frames of a group [start, stop), None where rows were reordered."""
         path = self.folder / beside.USAGE_NAME
         if self.alone or any(frame in self.orders for frame in range(start, stop)) or not path.is_file():
             return None
@@ -163,7 +158,7 @@ class GaussianSequence:
             return beside.load_usage(path, start, stop, self.count(start))
 
     def read(self, frame: int) -> Gaussians:
-        """Reads one frame unrepaired, as its file has it but for `orders`.
+        """Read one frame unrepaired, as its file has it but for `orders`.
 
         Raises FrameError for a number below 0 or past the end, SceneError when the file is broken.
         """
@@ -185,17 +180,17 @@ class GaussianSequence:
         return self.clip.read(path, frame) if self.clip else table.read_frame(path)
 
     def at_origin(self, origin: Origin) -> GaussianSequence:
-        """The sequence with positions of frames and cameras from another origin in the world."""
+        """Return the sequence with positions of frames and cameras from another origin in the world."""
         if origin == self.origin:
             return self
         cameras = cameras_from(np.subtract(origin, self.origin), self.cameras)
         return replace(self, origin=origin, cameras=cameras, held=None)
 
     def load(self, wanted: Iterable[int]) -> Repaired:
-        """Read frames of one group and repair them: a row dropped in one is dropped in all.
+        """Read frames of one group and repair them.
 
         Frames that take more than HELD_BYTES together are read once to find what must be repaired, and again whenever
-        they are asked for. Raises SceneError when a file is broken or no finite row is left.
+        they are asked for. Raises SceneError as `repair` does, and for a broken file.
         """
         if not isinstance(wanted, Iterable):
             raise FrameError(f"frames: expected numbers of frames, got {described(wanted)}")
@@ -221,39 +216,37 @@ def open_sequence(
 ) -> GaussianSequence:
     """Open a folder of frames, a file of one frame or a clip; rows are read only when they are asked for.
 
-    It may be at an address, s3://, gs:// or az://: then all of it is copied to a temporary folder first, which goes
-    with the sequence; `progress` is told of that.
-    Frames are of any format in `scene.formats.table.FRAMES`, all of the same, in natural order of their names (frame2
-    before frame10); of an INRIA model the newest iteration is taken. Beside them may lie
+    All of an address, s3://, gs:// or az://, is copied to a temporary folder that lasts as long as the sequence;
+    `progress` is called meanwhile. Frames are of one format in `scene.formats.table.FRAMES`, in natural order of their
+    names (frame2 before frame10); of an INRIA model the newest iteration is taken. Their folder may have
 
     - sequence.json: `{"fps": number, "keyframes": [first frame of each group, ...], "background": [r, g, b]}`; without
       it 30 frames a second before black;
-    - cameras in a form that people have them in, the first of transforms.json, INRIA's cameras.json, COLMAP's sparse/
-      and Panoptic's train_meta.json; they may also lie in the INRIA model whose point_cloud/ the frames are in;
+    - cameras, the first of transforms.json, INRIA's cameras.json, COLMAP's sparse/ and Panoptic's train_meta.json; they
+      may also be in the INRIA model that has the frames in its point_cloud/;
     - usage.npz: how much each Gaussian contributes to the training views, as the trainer measured it.
 
-    Beside a file that is opened by its own name only cameras are looked for. `views` (another file or folder of
-    cameras) and `fps` (frames a second, above 0 and at most 1000) go before what the folder says.
+    For a file that is opened by its own name only cameras are looked for. `views` (another file or folder of cameras)
+    and `fps` (frames a second, above 0 and at most 1000) go before what the folder says.
 
-    A clip is a file of a format in `scene.formats.table.CLIPS`, which holds many frames; `clip.note` says how
-    they came about. Moving Gaussians are baked at `bake_fps` frames a second, which are played at `fps` (default: the
-    same); `duration` (seconds) is the length of a clip whose file states none. Its own cameras go before those beside
-    it, where they are of the scene.
+    A clip is a file of a format in `scene.formats.table.CLIPS`; `clip.note` says how it became frames. Moving Gaussians
+    are baked at `bake_fps` frames a second, played at `fps` (default: the same); `duration` (seconds) is the length of
+    a clip whose file states none. Its own cameras go before those in its folder, where they are of the scene.
 
-    Raises SceneError for no frames, a broken frame, one without rows or of another SH degree, a malformed file beside
-    them, and a `bake_fps` of frames; ConfigError for a wrong address, TransportError for a store that does not answer.
+    Raises SceneError for no frames, a broken frame, one without rows or of another SH degree, another malformed file,
+    and a `bake_fps` of frames; ConfigError for a wrong address, TransportError for a store that does not answer.
     """
     folder = path_argument("folder", folder)
     rate = None if bake_fps is None else beside.frame_rate(str(folder), bake_fps)
     bake = Bake(rate, None if duration is None else Fraction(str(duration)))
-    copied = Copied(str(folder), BESIDE, told(progress)) if is_address(folder) else None
+    copied = Copied(str(folder), COMPANIONS, told(progress)) if is_address(folder) else None
     with _naming(copied):
         return replace(_open(copied.path if copied else Path(folder), bake, views, fps), copied=copied)
 
 
 @contextmanager
 def _naming(copied: Copied | None) -> Iterator[None]:
-    """Have a SceneError that the block raises name files by their addresses, not where they were copied to."""
+    """Name files by their addresses in a SceneError of the block, not by the paths of copies."""
     try:
         yield
     except SceneError as error:
@@ -267,7 +260,7 @@ def _open(place: Path, bake: Bake, views: str | Path | None, fps: Fraction | flo
     path = found.paths[0]
     if len(found.paths) == 1 and (form := table.clip_format(path)):
         clip = form.open(path, bake)
-        if views is None and path.suffix.lower() in CAMERA_SUFFIXES:
+        if views is None and path.suffix.lower() == ".splatv":
             try:
                 read_posed(path)
                 views = path
@@ -292,9 +285,9 @@ def sequence_of(
     clip: Clip | None = None,
     origin: Origin | None = None,
 ) -> GaussianSequence:
-    """The sequence of frames whose headers are known, at least one, with what lies beside them; see `open_sequence`.
+    """Return the sequence of frames with these headers, at least one, and other files of their folder.
 
-    `alone`: it is one file, which others may lie beside. `origin`: by default the one that the first frame asks for.
+    `alone`: it is one file. `origin`: by default the one that `choose_origin` gives for the first frame.
     """
     first, degree = frames[0][0], frames[0][1].sh_degree
     for path, header in frames:
@@ -307,7 +300,7 @@ def sequence_of(
     cameras_path = locate_cameras(Path(views)) if views else find_cameras(folder)
     posed = read_posed(cameras_path) if cameras_path else []
     cameras = (replace(camera, background=own.background) for camera in distinct(posed))
-    odd = () if alone else (*table.oddities_of(paths), *_lone_counts(frames))
+    gaps = [] if alone else table.gap_notes(paths)
     found = GaussianSequence(
         folder,
         paths,
@@ -317,7 +310,7 @@ def sequence_of(
         cameras_from(own.origin, cameras),
         cameras_path=cameras_path,
         background=own.background,
-        notes=(*own.notes, *odd, *told_of_lenses(posed)),
+        notes=(*own.notes, *gaps, *lens_notes(posed)),
         alone=alone,
         clip=clip,
         origin=own.origin,
@@ -326,18 +319,8 @@ def sequence_of(
     return _from_own_origin(found) if origin is None else found.at_origin(origin)
 
 
-def _lone_counts(frames: Sequence[tuple[Path, FrameHeader]]) -> list[str]:
-    """A sentence for each frame with another number of rows than those on both sides, where there are few."""
-    lone = [
-        f"{path.name}: {this.count} Gaussians, frames beside it have {before.count}: is it of another scene?"
-        for (_, before), (path, this), (_, after) in zip(frames, frames[1:], frames[2:], strict=False)
-        if before.count == after.count != this.count
-    ]
-    return lone if len(lone) <= LONE else []
-
-
 def _from_own_origin(sequence: GaussianSequence) -> GaussianSequence:
-    """The sequence from an origin at which float32 is fine enough for its first frame, and a line on it."""
+    """Return the sequence from the origin that its first frame needs, with a note on that."""
     first = sequence._stored(0)
     if (shift := choose_origin(first)) == ZERO:
         return sequence
@@ -347,15 +330,11 @@ def _from_own_origin(sequence: GaussianSequence) -> GaussianSequence:
 
 
 class GrowingFolder:
-    """A folder of .ply frames that somebody is still writing, looked at again and again.
-
-    A frame is taken once it is whole and all before it are.
-    """
+    """A folder of .ply frames that is still being written; a frame is taken once it and all before it are whole."""
 
     def __init__(
         self, folder: str | Path, *, views: str | Path | None = None, fps: Fraction | float | None = None
     ) -> None:
-        """The arguments are those of `open_sequence`; the folder need not be there yet."""
         self._folder = Path(folder)
         self._views, self._fps = views, fps
         self._frames: list[tuple[Path, FrameHeader]] = []
@@ -363,7 +342,7 @@ class GrowingFolder:
         self._read_at = 0  # when the sequence.json of that was written
 
     def look(self) -> GaussianSequence | None:
-        """The frames that are whole by now, as `open_sequence` would give them; None before the first.
+        """Return the frames that are whole by now, as `open_sequence` would give them; None before the first.
 
         Raises SceneError as `open_sequence` does, and for a frame whose name comes before that of one that was taken.
         """
@@ -378,7 +357,7 @@ class GrowingFolder:
         return self._sequence
 
     def check_finished(self) -> None:
-        """Nobody writes any more. Raises SceneError where a file was left that is not whole, or there is no frame."""
+        """Raise SceneError where a file is not whole, or no frame was written."""
         for path in self._waiting():
             read_ply(path)
         if self._sequence is None:

@@ -83,11 +83,11 @@ def test_sog_is_a_folder_of_pictures_and_a_range_of_it_says_what_is_lost(tmp_pat
 
 def test_a_missing_library_is_said_first(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    assert "needs gsply: pip install" in refusal(capsys, "-o", tmp_path / "a.spz", "--frames", "0")
+    assert "need gsply: pip install" in refusal(capsys, "-o", tmp_path / "a.spz", "--frames", "0")
     assert not any(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("place", ["frames/", "new/deep/a.splat"])
+@pytest.mark.parametrize("place", ["frames/", "a.splat"])
 def test_after_a_failure_everything_is_as_it_was(tmp_path, monkeypatch, place, capsys):
     """The disk is full at the last frame."""
     options = ("-o", f"{tmp_path}/{place}", "--format", "splat", "--frames", "0:3" if place == "frames/" else "2")
@@ -121,7 +121,7 @@ from airgs_codec.scene.formats import table
 table.write_settings = lambda *_, **__: os.kill(os.getpid(), {int(number)})
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.exit(decode.main(sys.argv[1:]))"""
-    command = [sys.executable, "-c", code, str(FOX), "-o", f"{tmp_path}/new/frames/"]
+    command = [sys.executable, "-c", code, str(FOX), "-o", f"{tmp_path}/frames/"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr.strip()) == (status, "airgs-decode: stopped")
     assert not any(tmp_path.iterdir())

@@ -157,13 +157,13 @@ def _changed(chance: random.Random, columns: list[Column]) -> list[Column]:
 
 
 def _with_columns(data: bytes, columns: list[Column]) -> bytes:
-    if data[8:24] != mp4.OWN:
+    if data[8:24] != mp4.OWN_UUID:
         return encode_columns(columns)
     return mp4.with_own_box(data[len(_own_box(data)) :], mp4.read_segment(data).checksums, encode_columns(columns))
 
 
 def _own_box(data: bytes) -> bytes:
-    return data[: int.from_bytes(data[:4], "big")] if data[8:24] == mp4.OWN else b""
+    return data[: int.from_bytes(data[:4], "big")] if data[8:24] == mp4.OWN_UUID else b""
 
 
 def _resealed(data: bytes) -> bytes:

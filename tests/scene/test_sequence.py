@@ -73,42 +73,32 @@ def test_frames_are_loaded_together_without_bands_above_the_largest_degree(tmp_p
     assert "frames 0-2: 1 Gaussians that are not finite" in loaded.notes[0]
 
 
-ODD = [
-    ("f_1 f_2 f_3", ""),
-    ("f_01_lod0 f_02_lod0", ""),
-    ("first second", ""),
-    ("frame_1 frame_3 frame_10", "frame_#: 7 numbers are missing, the first between 1 and 3: frames are taken as"),
-    ("frame_1 frame_2 take2-frame_3", "frames have names of 2 kinds, frame_# (2), take2-frame_# (1): all are taken"),
-    ("t1_f1 t1_f2 t2_f1", "frames have names of 2 kinds, t1_f# (2), t2_f# (1)"),
-    ("f1 f01 f2", "f#: some frames have the same number, such as 1"),
-    ("f1 f2 background", "frames have names of 2 kinds, background (1), f# (2)"),
-]
-
-
-@pytest.mark.parametrize(("names", "says"), ODD)
-def test_odd_names_are_told(tmp_path, names, says):
+@pytest.mark.parametrize(("names", "says"), [
+    ("f_1 f_2 f_3", ""), ("f_01_lod0 f_02_lod0", ""), ("first second", ""), ("t1_f1 t1_f2 t2_f1", ""),
+    ("frame_1 frame_3 frame_10", "7 numbers are missing in the names of frames, the first between 1 and 3: frames"),
+])  # fmt: skip
+def test_missing_numbers_are_said(tmp_path, names, says):
     write_names(tmp_path, " ".join(f"{name}.ply" for name in names.split()))
     notes = open_sequence(tmp_path).notes
     assert len(notes) == (says != "") and "".join(notes).startswith(says)
 
 
 def test_a_frame_of_another_scene_is_told_before_and_to_those_who_encode(tmp_path, capsys):
-    """By its number of rows where that is another one, else by where its Gaussians lie."""
     frames = moving_frames(60, 6)
     frames[2] = random_gaussians(50)
     frames[4] = frames[4].placed(np.zeros(3), 100)
     folder = write_sequence(tmp_path / "scene", frames)
-    lone, strange = "000002.ply: 50 Gaussians, frames beside it have 60", "frames 4-5: Gaussians lie elsewhere"
+    strange = "frames 4-5: Gaussians lie elsewhere"
     (tmp_path / "notes.txt").write_text("of somebody")
     assert faces.airgs_encode([str(folder), "-o", str(tmp_path)]) == 2
     told = capsys.readouterr().err
-    assert lone in told and "rows: the first 3 frames do not share them; tracked first: about" in told
+    assert "rows: the first 3 frames do not share them; tracked first: about" in told
     assert "expected a new folder or an existing package, got a folder with other files" in told
     settings = faces.EncodeSettings(calibrate="none", measure_pictures=0)
     notes = faces.decide(open_sequence(folder), settings).notes
     with faces.tracked(open_sequence(folder), faces.CPU, faces.Work()) as found:
         assert found.notes[-1].startswith("not tracked: 18.2 dB is all that a frame shows of the next one")
-    assert [sum(line.startswith(words) for line in notes) for words in (lone, strange)] == [1, 1]
+    assert sum(line.startswith(strange) for line in notes) == 1
 
 
 def test_folders_of_sog_are_frames_and_one_is_a_scene(tmp_path):

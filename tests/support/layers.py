@@ -20,7 +20,7 @@ from contextlib import suppress
 from functools import partial
 from typing import Any
 
-from airgs_codec.media.mp4 import OWN, CodedPicture, box, media_segment, read_segment
+from airgs_codec.media.mp4 import OWN_UUID, CodedPicture, box, media_segment, read_segment
 
 Part = tuple[int, bytes]  # which of the parts that were found it was, and what it is now
 Layer = tuple[list[bytes], Callable[[list[Part]], bytes]]  # the parts, and what joins some, in any order
@@ -128,12 +128,12 @@ def _sealed(data: bytes) -> Layer:
 
 def _segment(data: bytes) -> Layer:
     """Our own bytes, and the samples of a media segment; its boxes are made anew."""
-    own = data[8 + len(OWN) : int.from_bytes(data[:4], "big")]
+    own = data[8 + len(OWN_UUID) : int.from_bytes(data[:4], "big")]
 
     def join(parts: list[Part]) -> bytes:
         samples = [part for number, part in parts if number]
         coded = [CodedPicture(sample, at, len(sample), at == 0) for at, sample in enumerate(samples)]
-        return box(b"uuid", OWN, *(part for number, part in parts if not number)) + media_segment(coded, 0, 1)
+        return box(b"uuid", OWN_UUID, *(part for number, part in parts if not number)) + media_segment(coded, 0, 1)
 
     return [own, *read_segment(data).samples], join
 

@@ -1,106 +1,93 @@
-"""Cameras from a file or a folder of any form, or from beside a scene; `colmap` and `forms` read those of one form.
+"""Cameras from a file or a folder of any form, or of a scene; `colmap` and `forms` read those of one form.
 
 To add a form, write its reader and its row here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.cameras import colmap, forms
-from airgs_codec.scene.cameras.forms import Posed, Reader, distinct
-from airgs_codec.scene.files import BOM, expecting, read_json
+from airgs_codec.scene.cameras.forms import Posed, distinct
+from airgs_codec.scene.files import SPLATV_MAGIC, expecting
 
-BY_MAGIC: tuple[tuple[bytes, Reader], ...] = (
-    (forms.SPLATV_MAGIC, forms.read_splatv),
-    (forms.NUMPY_MAGIC, forms.read_llff),
+Form = tuple[Callable[[Path], Iterable[Posed]], str]  # what reads a file, and what the file is expected to be
+BY_MAGIC: tuple[tuple[bytes, Form], ...] = (
+    (SPLATV_MAGIC, (forms.read_splatv, "a .splatv header with cameras")),
+    (b"\x93NUMPY", (forms.read_llff, "rows of 17 numbers")),
 )
-BY_JSON: tuple[tuple[Callable[[Any], bool], Reader], ...] = (
-    (forms.is_transforms, forms.read_transforms),
-    (forms.is_panoptic, forms.read_panoptic),
-    (forms.is_inria, forms.read_inria),
+BY_JSON: tuple[tuple[set[str], Form], ...] = (  # by names of the object, or of the first one of a list
+    ({"frames"}, (forms.read_transforms, f"a nerfstudio {forms.TRANSFORMS}")),
+    ({"k", "w2c", "cam_id"}, (forms.read_panoptic, "fn, k, w2c and cam_id of frames and cameras")),
+    ({"position", "rotation"}, (forms.read_inria, f"INRIA's {forms.INRIA_CAMERAS}")),
 )
-CAMERA_NAMES = (
-    forms.TRANSFORMS,
-    forms.INRIA,
-    "sparse",
-    forms.PANOPTIC,
-)  # what is looked for beside a scene, in this order
-CAMERA_SUFFIXES = (".json", ".splatv", ".npy")  # of files that may have cameras under another name
-WORDS = (
+CAMERA_NAMES = (forms.TRANSFORMS, forms.INRIA_CAMERAS, "sparse", forms.PANOPTIC)  # looked for in this order
+CAMERA_FORMS = (
     "cameras (transforms.json, INRIA's cameras.json, COLMAP's sparse/, Panoptic's train_meta.json, poses_bounds.npy "
     "or .splatv)"
 )
 
 
 def read_cameras(path: Path) -> list[Camera]:
-    """The distinct cameras in a file or a folder of any form, told by its content, in the order of the file.
+    """Return the distinct cameras in a file or a folder of any form, known by its content, in the order of the file.
 
-    A dynamic scene has an entry for each camera and frame: a camera that the file names counts once, with its first
-    pose, any other once for each place it was at. A distorted camera is that of its undistorted pictures. `split` is
-    "train" where a form marks no held-out cameras, `near` is 0 where it implies none.
-
-    Raises SceneError when there is no file of a known form, several of them in a folder, or one that is broken.
+    A camera that the file names counts once, with its first pose, any other once for each pose. A distorted camera is
+    that of its undistorted pictures. `split` is "train" where a form marks no held-out cameras, `near` is 0 where it
+    implies none. Raises SceneError when there is no file of a known form, or a broken one.
     """
     return distinct(read_posed(path))
 
 
 def read_posed(path: Path) -> list[Posed]:
-    """`read_cameras`, but one for each entry, with its picture. Raises SceneError."""
+    """Return what `read_cameras` does, but one for each entry, with its picture. Raises SceneError."""
     found = locate_cameras(path)
-    if reader := colmap.read if found.is_dir() else _reader(found):
-        return reader(found)
-    raise SceneError(f"{found}: expected {WORDS}")
+    if found.is_dir():
+        return colmap.read(found)
+    reader, words = _form_of(found)
+    with expecting(found, words):
+        posed = list(reader(found))
+    if not posed:
+        raise SceneError(f"{found}: expected {words}, at least one camera, got none")
+    return posed
 
 
 def locate_cameras(path: Path) -> Path:
-    """The file of cameras, or the folder of a COLMAP reconstruction, that a file or folder stands for.
-
-    Raises SceneError where a folder has none, or several and none under its usual name.
-    """
+    """Return the file of cameras, or the folder of a COLMAP reconstruction, of a file or folder. Raises SceneError."""
     if not path.is_dir():
-        return path.parent if colmap.is_part(path) else path
-    named = [found for name in (*CAMERA_NAMES, forms.LLFF) if (found := _named(path, name))]
-    return named[0] if named else colmap.find_model(path) or _only_file(path)
+        return path.parent if path.name in colmap.PARTS and colmap.is_model(path.parent) else path
+    if found := _find_in(path, (*CAMERA_NAMES, forms.LLFF)):
+        return found
+    raise SceneError(f"{path}: expected {CAMERA_FORMS}, got none of them")
 
 
 def find_cameras(folder: Path) -> Path | None:
-    """The file or folder of cameras that lies beside a scene of .ply frames, or in the INRIA model that it is part of.
+    """Return the file or folder of cameras in the folder of a scene, or in the INRIA model that it is part of.
 
     Such a model is a folder with point_cloud/, and the scene is a folder in it or in its point_cloud/.
     """
     inside = folder.resolve()  # "." has no parents of its own
     models = [place for place in inside.parents[:2] if (place / "point_cloud").is_dir()]
-    return next((found for place in (folder, *models) for name in CAMERA_NAMES if (found := _named(place, name))), None)
+    return next((found for place in (folder, *models) if (found := _find_in(place, CAMERA_NAMES))), None)
 
 
-def _named(place: Path, name: str) -> Path | None:
-    found = place / name
-    if name == "sparse":
-        return next((model for model in (found / "0", found) if colmap.is_model(model)), None)
-    return found if found.is_file() else None
+def _find_in(folder: Path, names: Iterable[str]) -> Path | None:
+    places = (colmap.find_model(folder) if name == "sparse" else folder / name for name in names)
+    return next((place for place in places if place and place.exists()), None)
 
 
-def _only_file(folder: Path) -> Path:
-    files = sorted(file for file in folder.iterdir() if file.suffix in CAMERA_SUFFIXES and file.is_file())
-    known = [file for file in files if _reader(file)]
-    if len(known) != 1:
-        got = f"several: {', '.join(file.name for file in known)}" if known else "none of them"
-        raise SceneError(f"{folder}: expected {WORDS}, got {got}")
-    return known[0]
-
-
-def _reader(path: Path) -> Reader | None:
-    """Return what reads a file, by its first bytes or by its JSON. Raises SceneError for JSON that is broken."""
-    with expecting(path, WORDS), path.open("rb") as file:
-        head = file.read(max(len(magic) for magic, _ in BY_MAGIC))
-    if known := next((reader for magic, reader in BY_MAGIC if head.startswith(magic)), None):
-        return known
-    if not head.lstrip().startswith((b"{", b"[", BOM)) and path.suffix != ".json":
-        return None
-    data = read_json(path)
-    return next((reader for fits, reader in BY_JSON if fits(data)), None)
+def _form_of(path: Path) -> Form:
+    """Return the form of a file by its first bytes or by its JSON. Raises SceneError for one of no form."""
+    with expecting(path, CAMERA_FORMS):
+        with path.open("rb") as file:
+            head = file.read(8)
+        if known := next((form for magic, form in BY_MAGIC if head.startswith(magic)), None):
+            return known
+        data = json.loads(path.read_text(encoding="utf-8-sig"))
+        names = {*(data if isinstance(data, dict) else data[0])}
+        if known := next((form for wanted, form in BY_JSON if wanted <= names), None):
+            return known
+        raise ValueError(f"got {', '.join(map(str, names))}"[:120] or "got nothing")

@@ -7,7 +7,6 @@ gaussian-splatting reads it.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,11 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import Lens
-from airgs_codec.scene.camera import Camera
+from airgs_codec.scene.camera import Camera, rigid
 from airgs_codec.scene.cameras.forms import Posed, as_path, undistorted
 from airgs_codec.scene.files import Cursor, expecting
 
-WORDS = "a COLMAP reconstruction"
+_RECONSTRUCTION = "a COLMAP reconstruction"
 PARTS = tuple(f"{name}.{suffix}" for name in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
 POINT2D_BYTES = 24  # x, y as doubles and the number of a point
 
@@ -63,45 +62,25 @@ Image = tuple[str, int, tuple[float, ...]]  # name below the folder of images, s
 
 
 def find_model(folder: Path) -> Path | None:
-    """The folder of a reconstruction under `folder`: of those in sparse/0, sparse/1, … the one of most images, or
-    sparse, or itself.
-    """
-    parts = sorted(filter(is_model, (folder / "sparse").glob("[0-9]*")), key=lambda part: (len(part.name), part.name))
-    if parts:
-        return max(parts, key=_count_images)  # the first of them where several have as many
-    return next(filter(is_model, (folder / "sparse", folder)), None)
-
-
-def _count_images(model: Path) -> int:
-    """How many images a reconstruction has, 0 where its file is broken, which is said when it is read."""
-    binary = model / "images.bin"
-    try:
-        if binary.is_file():
-            return int(Cursor.open(binary).take("Q")[0])
-        return len(list(_images_of_text(model / "images.txt")))
-    except (OSError, ValueError, LookupError, struct.error):
-        return 0
+    """Return the folder of a reconstruction in a folder: sparse/0, sparse, or itself."""
+    return next(filter(is_model, (folder / "sparse" / "0", folder / "sparse", folder)), None)
 
 
 def is_model(folder: Path) -> bool:
     return any((folder / f"images.{suffix}").is_file() for suffix in ("bin", "txt"))
 
 
-def is_part(path: Path) -> bool:
-    return path.name in PARTS and is_model(path.parent)
-
-
 def read(folder: Path) -> list[Posed]:
-    """One for each image, in the order of their names; cameras are named by images without their endings.
+    """Return one for each image, in the order of their names; cameras are named by images without their endings.
 
     A distorted camera is that of the undistorted picture. Raises SceneError.
     """
     binary = (folder / "images.bin").is_file() and (folder / "cameras.bin").is_file()
     sensors, images = (folder / f"{name}.{'bin' if binary else 'txt'}" for name in ("cameras", "images"))
-    with expecting(sensors, WORDS):
+    with expecting(sensors, _RECONSTRUCTION):
         found = _sensors_of_binary(sensors) if binary else _sensors_of_text(sensors)
         cameras = {sensor[0]: _at_origin(*sensor) for sensor in found}
-    with expecting(images, WORDS):
+    with expecting(images, _RECONSTRUCTION):
         rows = sorted(_images_of_binary(images) if binary else _images_of_text(images), key=lambda image: image[0])
         listed = folder / "test.txt"
         lines = listed.read_text(encoding="utf-8-sig").splitlines() if listed.is_file() else []
@@ -113,7 +92,6 @@ def read(folder: Path) -> list[Posed]:
 
 
 def _at_origin(_: int, model: Model, width: int, height: int, given: tuple[float, ...]) -> tuple[Camera, Lens | None]:
-    """The camera of undistorted pictures, nowhere yet, and the lens that they are undistorted for."""
     if not model.focals:
         raise ValueError(f"expected a perspective or fisheye camera model, got {model.name}")
     values = np.append(given, 0.0)  # the last is at -1
@@ -124,9 +102,7 @@ def _at_origin(_: int, model: Model, width: int, height: int, given: tuple[float
 
 def _posed(image: str, pose: tuple[float, ...], camera: Camera, lens: Lens | None, held_out: set[str]) -> Posed:
     w, *xyz = pose[:4]
-    view = np.eye(4)
-    view[:3, :3] = Rotation.from_quat([*xyz, w]).as_matrix()  # of any norm but 0, for which it raises ValueError
-    view[:3, 3] = pose[4:]
+    view = rigid(Rotation.from_quat([*xyz, w]).as_matrix(), pose[4:])  # of any norm but 0: that raises ValueError
     name = Path(image).with_suffix("").as_posix()
     split = "test" if {image, name} & held_out else "train"
     return Posed(replace(camera, name=name, world_to_camera=view, split=split), image, lens)

@@ -1,11 +1,11 @@
 """Cameras with their pictures as JSON files, .splatv and poses_bounds.npy have them: what tells a form, what reads it.
 
 - nerfstudio's transforms.json: OpenGL camera-to-world matrices, one entry for each picture; sizes in pixels. What all
-  entries share may stand beside `frames`, but for the matrix. Pictures, masks and points may lie anywhere: an absolute
+  entries share, but for the matrix, may be next to `frames`. Pictures, masks and points may lie anywhere: an absolute
   path is taken as it is, and another may leave the folder. Beside nerfstudio's fields an entry may have `camera`, a
   name that is the same at all times, `time_index` or `time`, `near` in world units, and `split`, "test" for a held-out
   camera; nerfstudio's own lists `test_filenames` and `val_filenames` mark held-out pictures, too.
-- INRIA's cameras.json, as gaussian-splatting (Kerbl et al. 2023) writes it beside its models: a list of {id, img_name,
+- INRIA's cameras.json, as gaussian-splatting (Kerbl et al. 2023) writes it with its models: a list of {id, img_name,
   width, height, position, rotation, fx, fy}. The rotation is camera-to-world in OpenCV's axes, the principal point is
   the middle of the picture, held-out cameras are not marked.
 - splaTV's .splatv: the magic 0x674b and the length of a JSON header, both 32 bits, the header, then the Gaussians. The
@@ -21,9 +21,8 @@
 
 from __future__ import annotations
 
-import json
 from collections import ChainMap
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -33,13 +32,11 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import Lens, fit_lens
-from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera, check_camera
-from airgs_codec.scene.files import Cursor, expecting, read_json, read_object
+from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera, check_camera, rigid
+from airgs_codec.scene.files import open_splatv, read_json, read_object
 
-TRANSFORMS, INRIA, LLFF = "transforms.json", "cameras.json", "poses_bounds.npy"
+TRANSFORMS, INRIA_CAMERAS, LLFF = "transforms.json", "cameras.json", "poses_bounds.npy"
 PANOPTIC, PANOPTIC_TEST = "train_meta.json", "test_meta.json"
-SPLATV_MAGIC = b"\x4b\x67\0\0"
-NUMPY_MAGIC = b"\x93NUMPY"
 FISHEYE = "OPENCV_FISHEYE"
 # Beginnings of models in transforms.json that no pinhole stands for.
 NO_LENS = ("EQUIRECTANGULAR", "OMNIDIRECTIONAL", "VR180", "ORTHO", "FISHEYE624")
@@ -52,17 +49,13 @@ MOST_LETTERS = 255  # of a name in any file system
 
 
 def as_path(text: object) -> str:
-    """A path as a file has it, with the separators of every system as "/"."""
+    """Return a path as a file has it, with the separators of every system as "/"."""
     return str(text).replace("\\", "/")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posed:
-    """A camera as a file describes it, and the picture that it belongs to.
-
-    Raises ValueError for a camera that is none, of no size, without focal length, at no place, and for a path that can
-    be none of a file.
-    """
+    """A camera as a file describes it, and its picture. Raises ValueError for neither a camera nor a path."""
 
     camera: Camera  # of the undistorted picture
     picture: str = ""  # path of the picture as the file has it; empty: it names none
@@ -79,30 +72,8 @@ class Posed:
                 raise ValueError(f"{path!r} is no name of a picture")
 
 
-Reader = Callable[[Path], list[Posed]]
-
-
-def reader(words: str, least: str) -> Callable[[Callable[[Path], Iterable[Posed]]], Reader]:
-    """Makes a reader of a function that yields the cameras of a file, which is expected to be `words`.
-
-    The reader gives at least one, in the order of the file, and raises SceneError where that has none or is broken.
-    """
-
-    def made(parse: Callable[[Path], Iterable[Posed]]) -> Reader:
-        def read(path: Path) -> list[Posed]:
-            with expecting(path, words):
-                posed = list(parse(path))
-            if not posed:
-                raise SceneError(f"{path}: expected {least}, got none")
-            return posed
-
-        return read
-
-    return made
-
-
 def distinct(posed: Iterable[Posed]) -> list[Camera]:
-    """The cameras, in the order in which they first appear: fixed ones once a name, others once a sight."""
+    """Return the cameras in the order in which they first appear: fixed ones once a name, others once a sight."""
     found: dict[object, Camera] = {}
     for p in posed:
         c = p.camera
@@ -112,10 +83,9 @@ def distinct(posed: Iterable[Posed]) -> list[Camera]:
 
 
 def undistorted(camera: Camera, coefficients: NDArray[np.float64], fisheye: bool = False) -> tuple[Camera, Lens | None]:
-    """The camera of undistorted pictures, and the lens that they are undistorted for; None for a pinhole camera.
+    """Return the camera of undistorted pictures and the lens that they are undistorted for; None for a pinhole camera.
 
-    `camera` has the intrinsics of pictures as they were taken, `coefficients` are OpenCV's of the model. Raises
-    ValueError for a camera that is none.
+    `camera` has the intrinsics of distorted pictures, `coefficients` are OpenCV's of the model. Raises ValueError.
     """
     if not fisheye and not coefficients.any():
         return camera, None
@@ -127,20 +97,18 @@ def undistorted(camera: Camera, coefficients: NDArray[np.float64], fisheye: bool
         lens = fit_lens((camera.width, camera.height), matrix, coefficients, fisheye)
     except ValueError as error:
         numbers = ", ".join(f"{number:g}" for number in (camera.fx, camera.fy, camera.cx, camera.cy, *coefficients))
-        raise ValueError(
-            f"camera {camera.name}: {error}, got {'a fisheye' if fisheye else 'one'} of {numbers}"
-        ) from error
+        raise ValueError(f"camera {camera.name}: {error}, got {'fisheye ' * fisheye}{numbers}") from error
     (fx, _, cx), (_, fy, cy), _ = lens.pinhole
     return replace(camera, fx=float(fx), fy=float(fy), cx=float(cx), cy=float(cy)), lens
 
 
-def told_of_lenses(posed: Iterable[Posed]) -> tuple[str, ...]:
-    """What people should know of the lenses of cameras: a line, or none."""
+def lens_notes(posed: Iterable[Posed]) -> tuple[str, ...]:
+    """Return what people should know of the lenses of cameras: a sentence, or none."""
     cut = {p.camera.name: p.camera for p in posed if p.lens and p.lens.cut}
-    angles = [np.degrees(2 * np.arctan(max(c.width / 2 / c.fx, c.height / 2 / c.fy))) for c in cut.values()]
     if not cut:
         return ()
-    left = f"the middle {min(angles):.0f} degrees of what they see are used, the rest is cut off"
+    angle = min(np.degrees(2 * np.arctan(max(c.width / 2 / c.fx, c.height / 2 / c.fy))) for c in cut.values())
+    left = f"the middle {angle:.0f} degrees of what they see are used, the rest is cut off"
     return (f"{len(cut)} cameras, such as {next(iter(cut))}, have wide or strongly bending lenses: {left}",)
 
 
@@ -151,11 +119,6 @@ def _inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 _Entry = ChainMap[str, Any]  # of a picture in transforms.json, over what all share
 
 
-def is_transforms(data: Any) -> bool:
-    return isinstance(data, dict) and "frames" in data
-
-
-@reader(f"a nerfstudio {TRANSFORMS}", "at least one picture under 'frames'")
 def read_transforms(path: Path) -> Iterator[Posed]:
     data = read_object(path)
     entries = [ChainMap(entry, data) for entry in data["frames"]]
@@ -164,8 +127,9 @@ def read_transforms(path: Path) -> Iterator[Posed]:
 
 
 def _names(entries: Sequence[_Entry]) -> list[str]:
-    """A name for each entry: its `camera`, else its picture's, or its picture's folder where there are pictures over
-    time in several folders."""
+    """Return a name for each entry: its `camera`, else its picture's, or that of the picture's folder where several
+    folders have pictures over time.
+    """
     paths = [PurePosixPath(as_path(entry.get("file_path", ""))) for entry in entries]
     moving = len({_time(entry) for entry in entries}) > 1 and len({path.parent for path in paths}) > 1
     given = [path.parent.name if moving else path.stem for path in paths]
@@ -187,7 +151,6 @@ def _of_entry(name: str, entry: _Entry, held_out: set[str]) -> Posed:
 
 
 def _without_lens(camera: Camera, entry: _Entry) -> tuple[Camera, Lens | None]:
-    """The camera of the undistorted picture, and the lens; None for a pinhole camera."""
     model = str(entry.get("camera_model", "OPENCV")).upper()
     if model.startswith(NO_LENS):
         raise ValueError(f"camera {camera.name} has camera_model {model}, which is no perspective")
@@ -202,22 +165,12 @@ def _time(entry: _Entry) -> float:
     return float(entry["time_index"] if "time_index" in entry else entry.get("time", 0))
 
 
-def is_inria(data: Any) -> bool:
-    first = data[0] if isinstance(data, list) and data else None
-    return isinstance(first, dict) and {"position", "rotation"} <= {*first}
-
-
-@reader("INRIA's cameras.json", "at least one camera")
 def read_inria(path: Path) -> Iterator[Posed]:
     yield from _inria_cameras(read_json(path))
 
 
-@reader("a .splatv header with cameras", "at least one camera")
 def read_splatv(path: Path) -> Iterator[Posed]:
-    cursor = Cursor.open(path)
-    _, length = cursor.take("II")
-    chunks = json.loads(cursor.piece(length))
-    cameras = [camera for chunk in chunks for camera in chunk.get("cameras", ())]
+    cameras = [camera for chunk in open_splatv(path)[1] for camera in chunk.get("cameras", ())]
     if cameras and all(camera["position"] == PLACEHOLDER for camera in cameras):
         raise SceneError(f"{path}: expected cameras of this scene, got the one that splaTV writes into every file")
     yield from _inria_cameras(cameras)
@@ -229,29 +182,19 @@ def _inria_cameras(data: Any) -> Iterator[Posed]:
         width, height = int(entry["width"]), int(entry["height"])
         shown = min(width, MOST_WIDE)
         tall = int(height * shown / width)  # cut off, not rounded
-        to_world = np.eye(4)
-        to_world[:3, :3] = np.asarray(entry["rotation"], np.float64).reshape(3, 3)
-        to_world[:3, 3] = np.asarray(entry["position"], np.float64).reshape(3)
+        to_world = rigid(np.asarray(entry["rotation"], np.float64).reshape(3, 3), entry["position"])
         lens = float(entry["fx"]) * shown / width, float(entry["fy"]) * tall / height, shown / 2, tall / 2
         yield Posed(Camera(picture, shown, tall, *lens, _inverse(to_world), near=INRIA_NEAR), picture)
 
 
-def is_panoptic(data: Any) -> bool:
-    return isinstance(data, dict) and {"k", "w2c", "cam_id"} <= {*data}
-
-
-def read_panoptic(path: Path) -> list[Posed]:
-    """One for each frame and camera, frame by frame.
-
-    Cameras of a test_meta.json are held out; that beside a train_meta.json is read with it. Raises SceneError.
-    """
+def read_panoptic(path: Path) -> Iterator[Posed]:
+    """Yield cameras frame by frame; those of a test_meta.json next to the file follow, held out."""
+    yield from _panoptic_cameras(path)
     test = path.with_name(PANOPTIC_TEST)
-    if path == test:
-        return _panoptic_cameras(path)
-    return _panoptic_cameras(path) + (_panoptic_cameras(test) if test.is_file() else [])
+    if path != test and test.is_file():
+        yield from _panoptic_cameras(test)
 
 
-@reader("fn, k, w2c and cam_id of frames and cameras", "at least one frame")
 def _panoptic_cameras(path: Path) -> Iterator[Posed]:
     data = read_object(path)
     size, split = (int(data["w"]), int(data["h"])), "test" if path.name == PANOPTIC_TEST else "train"
@@ -267,14 +210,12 @@ def _panoptic_cameras(path: Path) -> Iterator[Posed]:
             yield Posed(camera, as_path(file), time=time, fixed=True)
 
 
-@reader("rows of 17 numbers", "at least one row")
 def read_llff(path: Path) -> Iterator[Posed]:
     rows = np.asarray(np.load(path, allow_pickle=False)).astype(np.float64).reshape(-1, 17)
     for number, row in enumerate(rows):
         pose = row[:15].reshape(3, 5)
         height, width, focal = pose[:, 4]
-        view = np.eye(4)
-        view[:3, :3] = np.stack([pose[:, 1], pose[:, 0], -pose[:, 2]])  # the rows are down, right and backwards
-        view[:3, 3] = -view[:3, :3] @ pose[:, 3]
+        axes = np.stack([pose[:, 1], pose[:, 0], -pose[:, 2]])  # the rows are down, right and backwards
+        view = rigid(axes, -axes @ pose[:, 3])
         middle = width / 2, height / 2
         yield Posed(Camera(f"view{number:03d}", int(width), int(height), focal, focal, *middle, view))

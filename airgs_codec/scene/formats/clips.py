@@ -6,7 +6,7 @@ mean is mean + motion_1 d + ... + motion_P d^P, the quaternion is quaternion + t
 alpha exp(-(d / width)^2). Sizes and colours stay. Frame i of F that are baked is at t = i / F.
 
 Spacetime Gaussians, the lite model (Li et al., CVPR 2024, equations 5 to 8) have P = 3 and plain RGB without SH. Their
-.ply has INRIA's properties with motion, turns and temporal widths, and is told from INRIA's by trbf_center. f_dc_0 to 2
+.ply has INRIA's properties with motion, turns and temporal widths, and trbf_center tells it from INRIA's. f_dc_0 to 2
 are plain RGB here, motion_0 to 2 the first power of time, and trbf_scale is a logarithm. The full model has further
 features, whose colours only its network knows: it is refused.
 
@@ -22,11 +22,10 @@ import functools
 import json
 import os
 import shutil
-import struct
 import sys
 import tempfile
 import weakref
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -38,10 +37,18 @@ from numpy.typing import NDArray
 from airgs_codec._arguments import described
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.beside import DEFAULT_FPS, MAX_FPS, exact_number, frame_rate
-from airgs_codec.scene.files import Cursor, expecting, reading
-from airgs_codec.scene.formats.form import Bake, Clip, ClipFormat, FrameHeader, check_count, count_frames
+from airgs_codec.scene.files import Cursor, expecting, open_splatv
+from airgs_codec.scene.formats.form import (
+    MOST_FRAMES,
+    Bake,
+    Clip,
+    ClipFormat,
+    FrameHeader,
+    check_count,
+    count_frames,
+)
 from airgs_codec.scene.formats.packed import ROW_BYTES, expect_library, read_splat
-from airgs_codec.scene.formats.ply import read_columns, read_header, read_ply, write_ply
+from airgs_codec.scene.formats.ply import read_columns, read_ply, read_vertex, write_ply
 from airgs_codec.scene.formats.sandbox import SECONDS, run_limited
 from airgs_codec.scene.gaussians import SH_C0, Floats, Gaussians, as_floats, logits_of, logs_of, sigmoid
 
@@ -51,14 +58,15 @@ GSPLAT = dict(zip(("means", "quats", "scales", "opacities", "sh0", "shN"), NAMES
 
 
 def clip_of(frames: Mapping[str, Any] | Iterable[Frame], fps: Fraction | float) -> Clip:
-    """Makes a clip of frames that are checked; those of an iterator go to a temporary folder, which goes with the clip.
+    """Return a clip of checked frames; those of an iterator are written to a temporary folder that lasts as long as it.
 
     Raises SceneError, which names the frame and the attribute.
     """
-    rate = frame_rate("fps", fps)
+    rate, headers = frame_rate("fps", fps), list[FrameHeader]()
+    if not isinstance(frames, Iterable):
+        raise SceneError(f"frames: expected frames or a mapping of arrays with a time axis, got {described(frames)}")
     stored = _Stored([] if isinstance(frames, Sequence | Mapping) else None)
-    headers: list[FrameHeader] = []
-    for number, frame in enumerate(_separate(frames)):
+    for number, frame in enumerate(_by_time(frames) if isinstance(frames, Mapping) else frames):
         g = _checked(frame, f"frame {number}")
         headers.append(FrameHeader(len(g), g.sh_degree))
         if g.sh_degree != headers[0].sh_degree:
@@ -70,32 +78,25 @@ def clip_of(frames: Mapping[str, Any] | Iterable[Frame], fps: Fraction | float) 
     return Clip(tuple(headers), rate, stored.read, "frames from arrays")
 
 
-def _separate(frames: Mapping[str, Any] | Iterable[Frame]) -> Iterator[Frame]:
-    """The frames one after another; a mapping has arrays whose first axis is time."""
-    if isinstance(frames, Mapping):
-        columns = _ours({name: as_floats(name, value, name == NAMES[0]) for name, value in frames.items()}, "frames")
-        shape = columns["means"].shape if "means" in columns else None
-        if shape is None or len(shape) != 3:
-            raise SceneError(f"means: expected an array of shape (T, N, 3), got {shape or 'none'}")
-        for name, column in columns.items():
-            if column.shape[:1] != shape[:1]:
-                raise SceneError(f"{name}: expected {shape[0]} frames as of means, got the shape {column.shape}")
-        yield from ({name: column[t] for name, column in columns.items()} for t in range(shape[0]))
-    elif isinstance(frames, Iterable):
-        yield from frames
-    else:
-        raise SceneError(f"frames: expected frames or a mapping of arrays with a time axis, got {described(frames)}")
+def _by_time(arrays: Mapping[str, Any]) -> list[dict[str, NDArray[np.float32]]]:
+    """Return the frames of arrays whose first axis is time."""
+    columns = _ours({name: as_floats(name, value, name == NAMES[0]) for name, value in arrays.items()}, "frames")
+    shape = columns["means"].shape if "means" in columns else ()
+    if len(shape) != 3:
+        raise SceneError(f"means: expected an array of shape (T, N, 3), got {shape or 'none'}")
+    for name, column in columns.items():
+        if column.shape[:1] != shape[:1]:
+            raise SceneError(f"{name}: expected {shape[0]} frames as of means, got the shape {column.shape}")
+    return [{name: column[t] for name, column in columns.items()} for t in range(shape[0])]
 
 
 def as_gaussians(value: Frame) -> Gaussians:
-    """The argument `gaussians` of a function: Gaussians as they are, or a frame as `clip_of` takes it. SceneError."""
+    """Return the argument `gaussians` of a function as Gaussians. Raises SceneError."""
     return value if isinstance(value, Gaussians) else _checked(value, "gaussians")
 
 
 def _ours(columns: dict[str, NDArray[np.float32]], where: str) -> dict[str, NDArray[np.float32]]:
-    """Renames gsplat's arrays. Raises SceneError for sizes and opacities, which its rasteriser takes by the same names
-    as its trainer stores logarithms and logits.
-    """
+    """Rename gsplat's arrays. Raises SceneError for sizes and opacities as its rasteriser takes them."""
     if not {*columns} <= {*GSPLAT} or {*columns} <= {*NAMES}:
         return columns
     sizes, alpha = (columns.get(name, np.zeros(0)) for name in ("scales", "opacities"))
@@ -137,10 +138,7 @@ def _checked(frame: Frame, where: str) -> Gaussians:
 
 
 class _Stored:
-    """Frames in a list or, where there is none, in a folder; other processes read them in a folder.
-
-    A temporary folder that this process makes goes with the frames.
-    """
+    """Frames in a list or a temporary folder that lasts as long; other processes read them in a folder."""
 
     def __init__(self, frames: list[Gaussians] | None, folder: Path | None = None) -> None:
         self._frames, self._folder = frames, folder
@@ -174,12 +172,13 @@ _MOST_JSON = 1 << 24  # bytes
 
 
 def open_4dgs(path: Path, bake: Bake) -> Clip:
-    """The frames of a file, all of them baked to a temporary folder. Raises SceneError."""
+    """Bake all frames of a file to a temporary folder. Raises SceneError."""
     _refuse_duration(path, bake)
     expect_library(path, ".4dgs", "fourdgs")
     data = path.read_bytes()
     with tempfile.TemporaryDirectory() as folder:
-        words, seconds = [str(bake.fps or 0), folder], SECONDS + _SECONDS_PER_BYTE * len(data)
+        words = [str(bake.fps or 0), str(DEFAULT_FPS), str(MOST_FRAMES), folder]
+        seconds = SECONDS + _SECONDS_PER_BYTE * len(data)
         if reason := run_limited("fourdgs", words, _CLIP_COPIES * len(data), data, seconds=seconds):
             raise SceneError(f"{path}: expected .4dgs, got what fourdgs cannot read: {reason}")
         fps, model = json.loads(Path(folder, "said.json").read_text())
@@ -187,14 +186,11 @@ def open_4dgs(path: Path, bake: Bake) -> Clip:
             clip = clip_of(map(_baked, sorted(Path(folder).glob("*.npy"))), exact_number(fps))
         except SceneError as error:
             raise SceneError(f"{path}: {error}") from error
-    counts = sorted({header.count for header in clip.headers})
-    numbers = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
-    rate = f"{float(clip.fps):g} a second"
-    return replace(clip, note=f".4dgs, {model}: {numbers} Gaussians in {len(clip.headers)} frames at {rate}")
+    numbers = " to ".join(map(str, sorted({header.count for header in clip.headers})[:: max(1, len(clip.headers) - 1)]))
+    return replace(clip, note=f".4dgs, {model}: {numbers} Gaussians in {len(clip.headers)} frames")
 
 
 def _baked(rows: Path) -> Gaussians:
-    """A frame that the program of `sandbox` left."""
     means, quaternions, sizes, alpha, rgb, sh = np.split(np.load(rows), [3, 7, 10, 11, 14], axis=1)
     dc = (rgb - np.float32(0.5)) / np.float32(SH_C0)
     rest = sh.reshape(len(sh), 3, sh.shape[1] // 3).transpose(0, 2, 1)
@@ -202,7 +198,7 @@ def _baked(rows: Path) -> Gaussians:
 
 
 def open_splat4d(path: Path, bake: Bake) -> Clip:
-    """The frames of a file, each read when it is asked for. Raises SceneError.
+    """Return the frames of a file, each read when it is asked for. Raises SceneError.
 
     Its beginning: the magic SP4D, a version and the length of a JSON header, 32 bits little-endian each, and the
     header, of which `n` is the number of rows, `t` that of frames. A frame has no SH, its rows are in one order.
@@ -259,8 +255,6 @@ _GROUPS = (
     ("trbf_scale",),
 )
 _NETWORK = ("f_t_0", "f_dc_3")
-_HEAD = struct.Struct("<II")  # magic, length of the JSON
-_TEXEL = 16  # bytes
 ROW = np.dtype([
     ("mean", "<f4", 3), ("quaternion", "<f2", 4), ("scale", "<f2", 3), ("unused_1", "<f2"), ("rgba", "u1", 4),
     ("motion", "<f2", (3, 3)), ("unused_2", "<f2"), ("turn", "<f2", 4), ("centre", "<f2"), ("width", "<f2"),
@@ -279,7 +273,7 @@ class Moving:
     turns: NDArray[np.float32] | None = None  # (N, 4) of the quaternion
 
     def at(self, t: float) -> Gaussians:
-        """The frame at normalised time t. Rows keep their order; what is not finite stays so."""
+        """Return the frame at normalised time t. Rows keep their order; what is not finite stays so."""
         d = (np.float32(t) - self.centres)[:, None]
         shift = np.zeros_like(self.rest.means)
         with np.errstate(all="ignore"):
@@ -295,26 +289,20 @@ Load = Callable[[Path], Moving]  # reads a file; raises SceneError, OSError
 
 
 def _open_moving(load: Load, name: str, path: Path, bake: Bake) -> Clip:
-    """A model baked to frames, frame i of F at t = i / F. Raises SceneError."""
     fps, seconds = bake.fps or DEFAULT_FPS, bake.seconds if bake.seconds is not None else DEFAULT_SECONDS
-    frames = count_frames(path, fps, seconds)
-    rest = _model(load, path).rest
-    note = f"{name}, {len(rest)} Gaussians baked to {frames} frames at {float(fps):g} a second: {float(seconds):.4g} s"
+    frames, count = count_frames(path, fps, seconds), len(_model(load, path, path.stat().st_mtime_ns).rest)
+    note = f"{name}, {count} Gaussians baked to {frames} frames at {float(fps):g} a second: {float(seconds):.4g} s"
     note += " by default, no length is stated" if bake.seconds is None else ""
-    return Clip((FrameHeader(len(rest), 0),) * frames, fps, functools.partial(_frame, load, frames), note)
+    return Clip((FrameHeader(count, 0),) * frames, fps, functools.partial(_frame, load, frames), note)
 
 
 def _frame(load: Load, frames: int, path: Path, frame: int) -> Gaussians:
-    return _model(load, path).at(frame / frames)
-
-
-def _model(load: Load, path: Path) -> Moving:
-    with reading(path):
-        return _cached(load, path, path.stat().st_mtime_ns)
+    with expecting(path, "a file of moving Gaussians"):
+        return _model(load, path, path.stat().st_mtime_ns).at(frame / frames)
 
 
 @functools.lru_cache(maxsize=2)
-def _cached(load: Load, path: Path, _written: int) -> Moving:
+def _model(load: Load, path: Path, _written: int) -> Moving:
     return load(path)
 
 
@@ -325,14 +313,13 @@ def _without_sh(means: Floats, quaternions: Floats, log_scales: Floats, rgb: Flo
 
 
 def read_spacetime_ply(path: Path) -> Moving:
-    header = read_header(path)
-    vertex = header.vertex
-    names = {*vertex.properties} if vertex else set()
+    header, vertex = read_vertex(path, "element vertex")
+    names = {*vertex.properties}
     if missing := [name for group in _GROUPS for name in group if name not in names]:
         raise SceneError(f"{path}: expected the properties of Spacetime Gaussians, missing {', '.join(missing)}")
     if not names.isdisjoint(_NETWORK):
         raise SceneError(f"{path}: expected Spacetime Gaussians of the lite model, got colours of a network")
-    if vertex is None or not vertex.count:
+    if not vertex.count:
         raise SceneError(f"{path}: expected at least one Gaussian, got none")
     columns = read_columns(path, header, vertex, _GROUPS)
     means, motion, quaternions, turns, log_scales, logits, rgb, centres, log_widths = columns
@@ -343,38 +330,25 @@ def read_spacetime_ply(path: Path) -> Moving:
 
 
 def read_splatv(path: Path) -> Moving:
-    """Reads the model of a file; rows of zeros at its end, which pad the texture, are left out. Raises SceneError."""
-    rows = _splatv_rows(path, path.read_bytes())
+    """Read the model of a file; rows of zeros at its end, which pad the texture, are left out. Raises SceneError."""
+    with expecting(path, "a .splatv file, a header with one chunk of type splat and rows that fill its texture"):
+        cursor, chunks = open_splatv(path)
+        [chunk] = [chunk for chunk in chunks if chunk["type"] == "splat"]
+        size = len(cursor.data) - cursor.at
+        count, rest = divmod(size, ROW.itemsize)
+        if rest or -(-count * ROW.itemsize // (16 * chunk["texwidth"])) != chunk["texheight"]:  # 16 bytes a texel
+            texture = f"{chunk['texwidth']} x {chunk['texheight']}"
+            raise ValueError(f"{size} bytes for a texture of {texture}, a broken or truncated file")
+        rows = np.frombuffer(cursor.data, ROW, count, cursor.at)
+        used = np.flatnonzero(rows.view(np.uint8).reshape(count, -1).any(axis=1))
+        if not len(used):
+            raise ValueError("got rows of zeros")
+        rows = rows[: used[-1] + 1]
     rgba = rows["rgba"].astype(np.float32) / np.float32(255)
     means, quaternions = np.ascontiguousarray(rows["mean"]), rows["quaternion"].astype(np.float32)
-    rest = _without_sh(means, quaternions, logs_of(rows["scale"].astype(np.float32)), rgba[:, :3])
+    first = _without_sh(means, quaternions, logs_of(rows["scale"].astype(np.float32)), rgba[:, :3])
     motion, turns, centres, widths = (rows[n].astype(np.float32) for n in ("motion", "turn", "centre", "width"))
-    return Moving(rest, motion, rgba[:, 3], centres, widths, turns)
-
-
-def _splatv_rows(path: Path, data: bytes) -> np.ndarray:
-    """The rows, (N,) of ROW, as many as the texture in the header is high. Raises SceneError."""
-    if len(data) < _HEAD.size or _HEAD.unpack_from(data)[0] != 0x674B:
-        raise SceneError(f"{path}: expected a .splatv file, got {data[:8]!r}")
-    start = _HEAD.size + _HEAD.unpack_from(data)[1]
-    with expecting(path, "a .splatv header with one chunk of type splat"):
-        [chunk] = [chunk for chunk in json.loads(data[_HEAD.size : start]) if chunk["type"] == "splat"]
-        width, height = _positive(chunk["texwidth"]), _positive(chunk["texheight"])
-    count, rest = divmod(len(data) - start, ROW.itemsize)
-    row_texels = ROW.itemsize // _TEXEL
-    if count <= 0 or rest or -(-count * row_texels // width) != height:
-        expected = f"rows of {ROW.itemsize} bytes that fill a texture of {width} x {height}"
-        raise SceneError(f"{path}: expected {expected}, got {len(data) - start} bytes, a broken or truncated file")
-    used = np.flatnonzero(np.frombuffer(data, np.uint8, offset=start).reshape(count, -1).any(axis=1))
-    if not len(used):
-        raise SceneError(f"{path}: expected Gaussians, got rows of zeros")
-    return np.frombuffer(data, ROW, used[-1] + 1, start)
-
-
-def _positive(value: Any) -> int:
-    if not isinstance(value, int) or value < 1:
-        raise ValueError(f"expected a number of at least 1, got {value!r}"[:80])
-    return value
+    return Moving(first, motion, rgba[:, 3], centres, widths, turns)
 
 
 FOUR_DGS = ClipFormat(".4dgs", (".4dgs",), open_4dgs)

@@ -53,7 +53,7 @@ class Holds:
 
 @dataclass(frozen=True, slots=True)
 class Bake:
-    """A wish for how many frames a clip becomes. None: what its file says, else the default of its format."""
+    """How many frames a clip becomes; None: what its file says, else the default of its format."""
 
     fps: Fraction | None = None  # frames a second
     seconds: Fraction | None = None
@@ -71,7 +71,7 @@ class Clip:
 
 @dataclass(frozen=True, slots=True)
 class FrameFormat:
-    """A format of files that hold one frame; its functions raise SceneError."""
+    """A format of files that hold one frame; its functions raise SceneError or what `files.expecting` knows."""
 
     name: str
     key: str  # in options; written files end in it, after a dot
@@ -81,7 +81,6 @@ class FrameFormat:
     write: Callable[[Path, Gaussians], None]  # of Gaussians as `holds` makes them fit
     holds: Holds = Holds()
     signs: tuple[str, ...] = ()  # vertex properties of which a .ply of this format has one; none: any other is of it
-    writer: str = ""  # the library that `write` needs
     axes: Axes | None = None  # as its specification says; None: it does not, or files do not keep to it
 
 
@@ -96,22 +95,22 @@ class ClipFormat:
 
 
 def check_count(path: Path, header: FrameHeader) -> FrameHeader:
-    """The header, if a file of this size can hold so many rows. Raises SceneError, before memory is taken."""
+    """Return the header if a file of this size can hold so many rows. Raises SceneError, before memory is taken."""
     size = path.stat().st_size
-    if header.count > size + SPARE_ROWS:
+    if not 0 <= header.count <= size + SPARE_ROWS:
         raise SceneError(f"{path}: expected as many Gaussians as {size} bytes can hold, got {header.count}")
     return header
 
 
 def count_frames(path: Path, fps: Fraction, seconds: Fraction) -> int:
-    """The frames of a clip of some length, at least one. Raises SceneError where they are too many, or none."""
+    """Return the number of frames of a clip of some length. Raises SceneError where they are too many, or none."""
     if not 0 < fps * seconds <= MOST_FRAMES:
         raise SceneError(f"{path}: expected a clip of 1 to {MOST_FRAMES} frames, got {float(seconds):g} s at {fps} fps")
     return max(1, round(fps * seconds))
 
 
 class Losses:
-    """Makes frames fit a format, and counts what they lose."""
+    """What frames lose so that they fit a format."""
 
     def __init__(self, holds: Holds, form: str) -> None:
         self._holds, self._form = holds, form
@@ -120,9 +119,9 @@ class Losses:
         self._notes: list[str] = []
 
     def fit(self, gaussians: Gaussians, where: str) -> Gaussians:
-        """The frame as the format can hold it: unit quaternions, no SH above its degree, values within its ranges.
+        """Return the frame with unit quaternions, no SH above the degree of the format, and values within its ranges.
 
-        Raises SceneError, which names the frame by `where`, when no Gaussian is finite.
+        Raises SceneError, which names the frame by `where`, as `repair` does.
         """
         repaired = repair([gaussians], where)
         g = repaired.frames[0]

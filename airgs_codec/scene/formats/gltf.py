@@ -1,7 +1,7 @@
 """glTF 2.0 with KHR_gaussian_splatting, .glb or .gltf: points with attributes, floats or integers; SH 0 to 3.
 
 N rows. Sizes and opacities are stored as they are, without logarithm or logit; quaternions are x, y, z, w. Nodes may
-move, turn and scale splats alike in all directions; SH is not turned, so that a turn is refused where there is any.
+move, turn and evenly scale splats; SH is not turned, so that turns are refused where splats have SH.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import json
 import math
 import struct
 from collections.abc import Iterator
+from operator import index
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import unquote
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.files import expecting
+from airgs_codec.scene.camera import rigid
 from airgs_codec.scene.formats.form import SIZES, Axes, FrameFormat, FrameHeader, Holds
 from airgs_codec.scene.gaussians import SH_REST, Gaussians, logits_of, logs_of, multiply
 
@@ -31,43 +32,38 @@ _WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 _MOST_JSON = 1 << 24  # bytes
 _MOST_BYTES = 1 << 32  # of a .glb, whose length is a word of 32 bits
 _MOST_NODES = 10_000  # that are walked through, and primitives of splats in them
-_TOLERANCE = 1e-3  # of a matrix that turns and scales alike, relative
-_WORDS = f"glTF with {EXTENSION}"
+_TOLERANCE = 1e-3  # relative, of a matrix that turns and scales evenly
 Document = dict[str, Any]
 
 
 class _Placed(NamedTuple):
-    """A primitive of splats with the transform of its node: x -> matrix x + translation."""
+    """A primitive of splats with the transform of its node."""
 
     attributes: dict[str, int]  # numbers of accessors
     extension: dict[str, Any]
-    matrix: NDArray[np.float64]  # (3, 3), `scale` times the rotation
-    translation: NDArray[np.float64]  # (3,)
-    scale: float
-    rotation: NDArray[np.float64]  # (4,) w, x, y, z
+    matrix: NDArray[np.float64]  # (4, 4)
+    scale: float  # its first three rows and columns are this times a rotation
 
 
 def read_gltf_header(path: Path) -> FrameHeader:
-    with expecting(path, _WORDS):
-        document, _ = _open(path, only_json=True)
-        return _header(document, list(_splats(document)))
+    document, _ = _open(path, only_json=True)
+    return _header(document, list(_splats(document)))
 
 
 def read_gltf(path: Path) -> Gaussians:
-    """The splats of all nodes of the scene, one after another; positions are float64 where a node moves them.
+    """Read the splats of all nodes of the scene, one after another; positions are float64 where a node moves them.
 
     Raises SceneError.
     """
-    with expecting(path, _WORDS):
-        document, chunk = _open(path)
-        primitives = list(_splats(document))
-        degree = _header(document, primitives).sh_degree
-        buffers = _buffers(path, document, chunk)
-        return Gaussians.join([_read(document, buffers, p, degree) for p in primitives])
+    document, chunk = _open(path)
+    primitives = list(_splats(document))
+    degree = _header(document, primitives).sh_degree
+    buffers = _buffers(path, document, chunk)
+    return Gaussians.join([_read(document, buffers, p, degree) for p in primitives])
 
 
 def _open(path: Path, *, only_json: bool = False) -> tuple[Document, bytes]:
-    """The JSON and, unless only that is asked for, the binary chunk. Raises OSError, ValueError."""
+    """Return the JSON and, unless only that is asked for, the binary chunk."""
     with path.open("rb") as file:
         head = file.read(20)
         if head[:4] != b"glTF":
@@ -84,31 +80,28 @@ def _open(path: Path, *, only_json: bool = False) -> tuple[Document, bytes]:
 
 
 def _header(document: Document, primitives: list[_Placed]) -> FrameHeader:
-    """Return what the JSON promises. Raises what `expecting` knows."""
+    """Return what the JSON promises."""
     if not primitives:
         raise ValueError("no node of its scene has splats")
     degrees, count = set(), 0
-    for names, extension, *_ in primitives:
+    for names, extension, matrix, scale in primitives:
         if extension.get("extensions"):
             raise ValueError(f"splats compressed by {', '.join(extension['extensions'])} are not read")
         if extension.get("kernel", "ellipse") != "ellipse" or extension.get("colorSpace", _COLOURS[0]) not in _COLOURS:
             raise ValueError(f"kernel ellipse in {_COLOURS[0]}, got {json.dumps(extension)[:120]}")
-        degrees.add(max(d for d in range(4) if all(name in names for name in _harmonics(d))))
-        beyond = max(degrees) + 1
-        if any(name in names for name in _band(beyond)):
-            raise ValueError(f"some coefficients of SH degree {beyond}")
-        count += _whole(document["accessors"][names["POSITION"]]["count"])
+        degrees.add(SH_REST.index(sum(name in names for name in _harmonics(4)) - 1))
+        if max(degrees) and np.abs(matrix[:3, :3] / scale - np.eye(3)).max() > _TOLERANCE:
+            raise ValueError("splats with SH in a node that turns them")
+        count += index(document["accessors"][names["POSITION"]]["count"])
     if len(degrees) > 1:
         raise ValueError(f"one SH degree, got {sorted(degrees)}")
-    if max(degrees) and any(abs(primitive.rotation[0]) < 1 - 1e-6 for primitive in primitives):
-        raise ValueError("splats with SH in a node that turns them")
-    if count > (most := sum(_whole(buffer["byteLength"]) for buffer in document["buffers"])):
+    if not 0 <= count <= (most := sum(buffer["byteLength"] for buffer in document["buffers"])):
         raise ValueError(f"as many Gaussians as {most} bytes can hold, got {count}")
     return FrameHeader(count, degrees.pop())
 
 
 def _splats(document: Document) -> Iterator[_Placed]:
-    """The primitives of splats of all nodes of the scene, in their order. Raises what `expecting` knows."""
+    """Yield the primitives of splats of all nodes of the scene, in their order."""
     nodes = document["nodes"]
     roots = document["scenes"][document.get("scene", 0)]["nodes"] if document.get("scenes") else range(len(nodes))
     waiting: list[tuple[dict[str, Any], NDArray[np.float64]]] = [({"children": roots}, np.eye(4))]  # the last is next
@@ -130,73 +123,59 @@ def _splats(document: Document) -> Iterator[_Placed]:
 def _local(node: dict[str, Any]) -> NDArray[np.float64]:
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    out = np.eye(4)
     turn = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1)))
-    out[:3, :3] = turn.as_matrix() * np.array(node.get("scale", (1, 1, 1)), np.float64)
-    out[:3, 3] = node.get("translation", (0, 0, 0))
-    return out
+    return rigid(
+        turn.as_matrix() * np.array(node.get("scale", (1, 1, 1)), np.float64), node.get("translation", (0, 0, 0))
+    )
 
 
 def _placed(attributes: dict[str, int], extension: dict[str, Any], matrix: NDArray[np.float64]) -> _Placed:
     turn = matrix[:3, :3]
-    determinant = float(np.linalg.det(turn)) if np.isfinite(matrix).all() else 0.0
-    scale = max(determinant, 0.0) ** (1 / 3)
+    scale = max(float(np.linalg.det(turn)) if np.isfinite(matrix).all() else 0.0, 0.0) ** (1 / 3)
     if not scale > 0 or np.abs(turn @ turn.T / scale**2 - np.eye(3)).max() > _TOLERANCE:
-        raise ValueError("a node that moves, turns and scales alike in all directions")
-    rotation = Rotation.from_matrix(turn / scale).as_quat(scalar_first=True)
-    return _Placed(attributes, extension, turn, matrix[:3, 3], scale, rotation)
-
-
-def _band(degree: int) -> list[str]:
-    return [f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{i}" for i in range(2 * degree + 1)]
+        raise ValueError("a node that moves, turns and scales evenly")
+    return _Placed(attributes, extension, matrix, scale)
 
 
 def _harmonics(degree: int) -> list[str]:
-    return [name for band in range(degree + 1) for name in _band(band)]
-
-
-def _whole(value: Any) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise ValueError(f"a number of at least 0, got {value!r}"[:80])
-    return value
+    return [f"{EXTENSION}:SH_DEGREE_{d}_COEF_{i}" for d in range(degree + 1) for i in range(2 * d + 1)]
 
 
 def _buffers(path: Path, document: Document, chunk: bytes) -> list[bytes]:
-    """The bytes of all buffers, none of them twice and each as long as it says."""
+    """Return the bytes of all buffers, none of them twice and each as long as it says."""
     uris = [buffer.get("uri") for buffer in document["buffers"]]
     if len(set(uris)) < len(uris):
         raise ValueError(f"every buffer once, got {len(uris)} of {len(set(uris))} places")
     buffers = [chunk if uri is None else _buffer(path, uri) for uri in uris]
     for data, buffer in zip(buffers, document["buffers"], strict=True):
-        if len(data) < _whole(buffer["byteLength"]):
+        if len(data) < buffer["byteLength"]:
             raise ValueError(f"a buffer of {buffer['byteLength']} bytes, got {len(data)}")
     return buffers
 
 
 def _buffer(path: Path, uri: str) -> bytes:
-    """The bytes of a buffer: base64 in the JSON, or a file beside it."""
+    """Return the bytes of a buffer: base64 in the JSON, or a file in the same folder."""
     if uri.startswith("data:"):
         return base64.b64decode(uri.partition(",")[2], validate=True)
     name = unquote(uri)
     if Path(name).name != name or "\0" in name:
-        raise ValueError(f"a buffer beside it, got {uri[:80]!r}")
+        raise ValueError(f"a buffer in its folder, got {uri[:80]!r}")
     try:
         return (path.parent / name).read_bytes()
     except OSError as error:
-        raise SceneError(f"{path}: expected its buffer {name[:80]} beside it: {error.strerror}") from error
+        raise SceneError(f"{path}: expected its buffer {name[:80]} in its folder: {error.strerror}") from error
 
 
 def _column(document: Document, buffers: list[bytes], accessor: int, width: int) -> NDArray[np.float32]:
-    """(N, width) of an accessor; integers are divided by their largest where they are normalised."""
+    """Return (N, width) of an accessor; integers are divided by their largest where they are normalised."""
     a = document["accessors"][accessor]
     if "sparse" in a or _WIDTHS.get(a["type"]) != width:
         raise ValueError(f"an accessor of {width} values, not sparse, got {json.dumps(a)[:100]}")
-    view = document["bufferViews"][_whole(a["bufferView"])]
-    kind, count = np.dtype(_TYPES[a["componentType"]]), _whole(a["count"])
-    stride = _whole(view.get("byteStride", 0)) or width * kind.itemsize
-    start = _whole(view.get("byteOffset", 0)) + _whole(a.get("byteOffset", 0))
-    data = buffers[_whole(view["buffer"])]
-    if stride < width * kind.itemsize or start + (count - 1) * stride + width * kind.itemsize > len(data):
+    view, kind, count = document["bufferViews"][a["bufferView"]], np.dtype(_TYPES[a["componentType"]]), a["count"]
+    size = width * kind.itemsize
+    stride, start = view.get("byteStride", 0) or size, view.get("byteOffset", 0) + a.get("byteOffset", 0)
+    data = buffers[view["buffer"]]
+    if stride < size or start < 0 or start + (count - 1) * stride + size > len(data):
         raise ValueError(f"{count} rows of {stride} bytes from byte {start}, got a buffer of {len(data)}")
     if not count:
         return np.zeros((0, width), np.float32)
@@ -207,28 +186,27 @@ def _column(document: Document, buffers: list[bytes], accessor: int, width: int)
 
 
 def _read(document: Document, buffers: list[bytes], primitive: _Placed, degree: int) -> Gaussians:
-    wanted = {"POSITION": 3, "ROTATION": 4, "SCALE": 3, "OPACITY": 1}
-    widths = {name if name == "POSITION" else f"{EXTENSION}:{name}": width for name, width in wanted.items()}
+    widths = {"POSITION": 3} | {f"{EXTENSION}:{n}": w for n, w in (("ROTATION", 4), ("SCALE", 3), ("OPACITY", 1))}
     widths |= dict.fromkeys(_harmonics(degree), 3)
-    accessors = primitive.attributes
-    columns = [_column(document, buffers, _whole(accessors[name]), width) for name, width in widths.items()]
+    columns = [_column(document, buffers, primitive.attributes[name], width) for name, width in widths.items()]
     means, rotations, scales, alpha, dc, *rest = columns
     if {*map(len, columns)} != {len(means)}:
         raise ValueError(f"{len(means)} rows of every attribute")
+    turn, shift = primitive.matrix[:3, :3], primitive.matrix[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         log_scales = logs_of(scales) + math.log(primitive.scale)
-        placed_means: NDArray[Any] = means @ primitive.matrix.T + primitive.translation
-        if not primitive.translation.any():
-            placed_means = placed_means.astype(np.float32)
+        placed: NDArray[Any] = means @ turn.T + shift
+    rotation = Rotation.from_matrix(turn / primitive.scale).as_quat(scalar_first=True)
     rotations = rotations[:, [3, 0, 1, 2]]
-    quaternions = multiply(np.broadcast_to(primitive.rotation, rotations.shape), rotations)
+    quaternions = multiply(np.broadcast_to(rotation, rotations.shape), rotations)
     sh = np.stack(rest, axis=1) if rest else np.zeros((len(means), SH_REST[0], 3))
     others = (quaternions, log_scales, logits_of(alpha[:, 0]), dc, sh)
-    return Gaussians(placed_means, *(np.asarray(part, np.float32) for part in others))
+    kind = np.float64 if shift.any() else np.float32
+    return Gaussians(placed.astype(kind), *(np.asarray(part, np.float32) for part in others))
 
 
 def write_glb(path: Path, gaussians: Gaussians) -> None:
-    """Writes one frame of unit quaternions as a .glb of one node, all values as floats.
+    """Write one frame of unit quaternions as a .glb of one node, all values as floats.
 
     Raises SceneError for more rows than a .glb can hold.
     """
@@ -255,7 +233,6 @@ def write_glb(path: Path, gaussians: Gaussians) -> None:
 
 
 def _document_of(columns: dict[str, NDArray[np.float32]], size: int) -> Document:
-    """The JSON of one node whose attributes are (N,) or (N, 3 or 4) columns, one after another in the chunk."""
     types = {width: name for name, width in _WIDTHS.items()}
     accessors, views, start = [], [], 0
     for i, column in enumerate(columns.values()):
@@ -274,7 +251,7 @@ def _document_of(columns: dict[str, NDArray[np.float32]], size: int) -> Document
     }  # fmt: skip
 
 
-_UP = Axes((0, 1, 0), metres=1.0)
 GLTF = FrameFormat(
-    "glTF", "glb", (".glb", ".gltf"), read_gltf_header, read_gltf, write_glb, Holds(ranges=(SIZES,)), axes=_UP
-)
+    "glTF", "glb", (".glb", ".gltf"), read_gltf_header, read_gltf, write_glb,
+    Holds(ranges=(SIZES,)), axes=Axes((0, 1, 0), metres=1.0),
+)  # fmt: skip

@@ -18,18 +18,14 @@ from pathlib import Path
 
 BASE_BYTES = 4 << 30  # address space of an interpreter, its threads and a library
 SECONDS = 120  # for a file of a stranger
-DEFAULT_FPS = 30
-FEWEST_FPS = 10  # pieces of a clip are its frames where there are so many a second
-MOST_FRAMES = 1 << 18
-_MOST_WORDS = 200  # letters of what went wrong
 
 
 def run_limited(
     program: str, arguments: Sequence[str], more_bytes: int, data: bytes = b"", *, seconds: float | None = SECONDS
 ) -> str:
-    """Run a program on standard input; what it says at its end, empty where all went well.
+    """Run a program on standard input; returns the last line of its errors, empty where all went well.
 
-    It has `more_bytes` of memory beyond what any interpreter takes, and so many seconds.
+    It may take `more_bytes` of memory beyond those of any interpreter, and `seconds`.
     """
     command = [sys.executable, "-P", __file__, str(BASE_BYTES + more_bytes), program, *arguments]
     environment = os.environ | {"RUST_BACKTRACE": "0"}
@@ -43,7 +39,7 @@ def run_limited(
         return f"it ended with {signal.Signals(-run.returncode).name}"
     lines = [line.strip() for line in run.stderr.decode("utf-8", "replace").split("\n")]
     said = [line for line in lines if line and not line.startswith("note:")]
-    return said[-1][:_MOST_WORDS] if said else "it said nothing"
+    return said[-1][:200] if said else "it said nothing"
 
 
 def main(limit: str, program: str, *arguments: str) -> None:
@@ -69,12 +65,13 @@ def _convert(source_form: str, target_form: str, target: str) -> None:
     Path(target).write_bytes(answer["data"])
 
 
-def _bake_4dgs(fps: str, folder: str) -> None:
-    """Bake a .4dgs on standard input with fourdgs; FPS 0 stands for as many frames as the file has states.
+def _bake_4dgs(fps: str, default_fps: str, most_frames: str, folder: str) -> None:
+    """Bake a .4dgs on standard input with fourdgs; FPS 0 stands for as many frames as the file has states, if these are
+    at least 10 a second.
 
     FOLDER gets 000000.npy and on, a frame's rows as float32: a mean, a quaternion w, x, y, z, sizes, alpha, RGB and SH,
     red first; and said.json, the frame rate and the kind of model. Frame i is the scene at (i + 1/2) / fps seconds, in
-    the middle of its time: what lasts for one frame is whole there.
+    the middle of its time, where what lasts for one frame is whole.
     """
     import fourdgs
     import numpy as np
@@ -107,9 +104,9 @@ def _bake_4dgs(fps: str, folder: str) -> None:
             return shown["centers"], shown["orientations"], rows.scales[i], shown["opacity"], rows.colors[i, :3], sh
 
     stated = Fraction(pieces / header.duration_sec).limit_denominator(1001)
-    rate = Fraction(fps) or (stated if stated >= FEWEST_FPS else Fraction(DEFAULT_FPS))
-    if not 0 < header.duration_sec * rate <= MOST_FRAMES:
-        sys.exit(f"expected 1 to {MOST_FRAMES} frames, got {header.duration_sec:g} s at {rate} fps")
+    rate = Fraction(fps) or (stated if stated >= 10 else Fraction(default_fps))
+    if not 0 < header.duration_sec * rate <= int(most_frames):
+        sys.exit(f"expected 1 to {most_frames} frames, got {header.duration_sec:g} s at {rate} fps")
     for frame in range(max(1, round(header.duration_sec * rate))):
         means, turns, sizes, alpha, rgb, sh = columns((frame + 0.5) / float(rate))
         parts = (means, np.asarray(turns)[:, [3, 0, 1, 2]], sizes, np.reshape(alpha, (-1, 1)), rgb, sh)

@@ -20,22 +20,16 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import decode_rgba
-from airgs_codec.scene.files import expecting
 from airgs_codec.scene.formats.form import FrameFormat, FrameHeader, Holds, check_count
-from airgs_codec.scene.formats.packed import LIBRARY, write_with_library
+from airgs_codec.scene.formats.packed import write_with_library
 from airgs_codec.scene.gaussians import SH_REST, Gaussians, logits_of
 
 META_NAME = "meta.json"
 LABELS_A_LINE = 64  # entries of a palette of SH in a line of its picture
-_MOST_META = 1 << 22  # bytes
-_MOST_SPARE = 1 << 20  # pixels of a picture beyond two a Gaussian: the largest palette of SH has so many
-_MOST_PICTURE = 1 << 29  # bytes
-_MOST_FILES = 1024
+_MOST_META = 1 << 22  # bytes of an archive beyond four times its own size
+_MOST_SPARE = 1 << 20  # pixels of a picture beyond two a Gaussian: as the largest palette of SH has
 _PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # zipfile unpacks others past the size that an entry states
-_MOST_CHUNKS = 16  # before the pixels of a picture
-_LEVELS = 256  # of a codebook
 _ROWS = ("quats", "scales", "sh0")  # parts of one picture each, a pixel a Gaussian
-_PICTURES = {"means": 2, **dict.fromkeys(_ROWS, 1), "shN": 2}
 Meta = dict[str, Any]
 Pixels = NDArray[np.uint8]  # (H W, 4) of a picture
 
@@ -43,21 +37,20 @@ Pixels = NDArray[np.uint8]  # (H W, 4) of a picture
 def is_sog_folder(folder: Path) -> bool:
     """Return whether a folder is one frame: its meta.json names pictures of means."""
     try:
-        return folder.is_dir() and "means" in json.loads(_read_at_most(folder / META_NAME, _MOST_META))
+        return folder.is_dir() and "means" in json.loads((folder / META_NAME).read_bytes())
     except (OSError, ValueError, TypeError, RecursionError):
         return False
 
 
 def read_sog_header(path: Path) -> FrameHeader:
-    """Count and SH degree, from meta.json and, of version 1, the size of a picture. Raises SceneError."""
+    """Return count and SH degree by meta.json and, of version 1, the size of a picture. Raises SceneError."""
     return _open(path, rows=False)[1]
 
 
 def read_sog(path: Path) -> Gaussians:
-    """Reads one frame. Raises SceneError; pictures larger than the rows need are not unpacked."""
+    """Read one frame. Raises SceneError; pictures larger than the rows need are not unpacked."""
     meta, header, files = _open(path, rows=True)
-    with expecting(path, "SOG"):
-        return decode_rows(meta, {name: unpack(name, data, header.count) for name, data in files.items()}, header)
+    return decode_rows(meta, {name: unpack(name, data, header.count) for name, data in files.items()}, header)
 
 
 def write_sog(path: Path, gaussians: Gaussians) -> None:
@@ -65,7 +58,7 @@ def write_sog(path: Path, gaussians: Gaussians) -> None:
 
 
 def write_sog_folder(folder: Path, gaussians: Gaussians) -> None:
-    """Writes one frame of unit quaternions as meta.json and pictures in an existing folder. Raises SceneError."""
+    """Write one frame of unit quaternions as meta.json and pictures in an existing folder. Raises SceneError."""
     archive = folder / "frame.sog"
     write_sog(archive, gaussians)
     with zipfile.ZipFile(archive) as opened:
@@ -74,129 +67,62 @@ def write_sog_folder(folder: Path, gaussians: Gaussians) -> None:
 
 
 def _open(path: Path, *, rows: bool) -> tuple[Meta, FrameHeader, dict[str, bytes]]:
-    """What meta.json says, and the pictures that it names, or those that the header needs. Raises SceneError."""
-    with expecting(path, f"SOG, a {META_NAME} with WebP pictures"):
-        meta = json.loads(_read_files(path, [META_NAME])[META_NAME])
-    with expecting(path, f"{META_NAME} of a SOG file"):
-        if meta.get("version") not in (None, 1, 2) or "means" not in meta:
-            raise SceneError(f"{path}: expected SOG of version 1 or 2, got {meta.get('version', 'none')!r}"[:300])
-        names = _check_meta(meta)
-    with expecting(path, f"pictures of SOG beside {META_NAME}"):
-        sizing = meta["shN"]["files"][:1] if "shN" in meta and not _coded(meta) else []
-        files = _read_files(path, names if rows else sizing)
-        header = FrameHeader(_count(meta), _bands(meta, files))
-    return meta, check_count(path / names[0] if path.is_dir() else path, header), files
-
-
-def _check_meta(meta: Meta) -> list[str]:
-    """The pictures that meta.json names. Raises what `expecting` knows."""
-    names: list[str] = []
-    for part, number in _PICTURES.items():
-        files = meta[part]["files"] if part in meta else []
-        plain = all(isinstance(name, str) and name and Path(name).name == name for name in files)
-        if len(files) != number * (part in meta) or not plain:
-            raise ValueError(f"{part}: expected {number} plain names of files")
-        names += files
-    whole = len(meta["means"]["mins"]) == len(meta["means"]["maxs"]) == 3 and len(names) >= 5 and _count(meta) >= 0
-    for part in {"scales", "sh0", "shN"} & {*meta} if _coded(meta) else ():
-        book = meta[part]["codebook"]
-        whole &= len(book) == _LEVELS and all(isinstance(value, int | float) for value in book)
-    if not whole:
-        raise ValueError("counts, bounds or codebooks that are not SOG's")
-    return names
+    """Return what meta.json says, and the pictures that it names, or those that the header needs."""
+    meta = json.loads(_read_files(path, [META_NAME])[META_NAME])
+    if meta.get("version") not in (None, 1, 2) or "means" not in meta:
+        raise SceneError(f"{path}: expected SOG of version 1 or 2, got {meta.get('version', 'none')!r}"[:300])
+    pictures = {"means": 2, **dict.fromkeys(_ROWS, 1)} | ({"shN": 2} if "shN" in meta else {})
+    names = [name for part in pictures for name in meta[part]["files"]]
+    plain = all(isinstance(name, str) and name and Path(name).name == name for name in names)
+    if not plain or [len(meta[part]["files"]) for part in pictures] != [*pictures.values()]:
+        raise ValueError(f"plain names of {sum(pictures.values())} files, got {names}")
+    palette = meta["shN"]["files"][0] if "shN" in meta and not _coded(meta) else None
+    files = _read_files(path, names if rows else [palette] if palette else [])
+    count, bands = (meta["count"], 0) if _coded(meta) else (meta["means"]["shape"][0], 0)
+    if palette:
+        bands = [LABELS_A_LINE * k for k in SH_REST].index(decode_rgba(files[palette], "WEBP").shape[1])
+    elif "shN" in meta:
+        bands = meta["shN"]["bands"]
+    if bands not in range(len(SH_REST)):
+        raise ValueError(f"{bands} bands of SH")
+    return meta, check_count(path / names[0] if path.is_dir() else path, FrameHeader(int(count), bands)), files
 
 
 def _coded(meta: Meta) -> bool:
-    return meta.get("version") not in (None, 1)
-
-
-def _count(meta: Meta) -> int:
-    return int(meta["count"] if _coded(meta) else meta["means"]["shape"][0])
-
-
-def _bands(meta: Meta, files: Mapping[str, bytes]) -> int:
-    if "shN" not in meta:
-        return 0
-    if _coded(meta):
-        bands = int(meta["shN"]["bands"])
-    else:
-        name = meta["shN"]["files"][0]
-        bands = [LABELS_A_LINE * k for k in SH_REST].index(_picture_size(name, files[name])[0])
-    if not 0 <= bands < len(SH_REST):
-        raise ValueError(f"{bands} bands of SH")
-    return bands
+    """Return whether values are places in codebooks, as in version 2."""
+    return meta.get("version") == 2
 
 
 def _read_files(path: Path, names: list[str]) -> dict[str, bytes]:
-    """Files of a folder or an archive, by name. Raises ValueError, OSError."""
-    if not path.is_dir():
-        return _read_entries(path, names)
-    if missing := [name for name in names if not (path / name).is_file()]:
-        raise ValueError(f"no {missing[0]}")
-    return {name: _read_at_most(path / name, _MOST_META if name == META_NAME else _MOST_PICTURE) for name in names}
+    """Return files of a folder, or of an archive by their names without folders.
 
-
-def _read_entries(path: Path, names: list[str]) -> dict[str, bytes]:
-    """Files of an archive with a meta.json, by name without folders.
-
-    Raises ValueError, before memory is taken, for one that would unpack to far more than it is or lacks a name.
+    Raises LookupError for one that is not in it, ValueError, before memory is taken, for an archive that would unpack
+    to far more than it is.
     """
+    if path.is_dir():
+        found = {name: path / name for name in names if (path / name).is_file()}
+        return {name: found[name].read_bytes() for name in names}
     with zipfile.ZipFile(path) as archive:
-        listed = archive.infolist()
-        entries = {Path(entry.filename).name: entry for entry in listed}
-        if META_NAME not in entries or len(listed) > _MOST_FILES:
-            there = "" if META_NAME in entries else "not "
-            raise ValueError(f"{len(listed)} files, {META_NAME} {there}among them")
-        if missing := [name for name in names if name not in entries]:
-            raise ValueError(f"no {missing[0][:80]!r}")
+        entries = {Path(entry.filename).name: entry for entry in archive.infolist()}
         wanted = {name: entries[name] for name in names}
-        other = [n for n, entry in wanted.items() if entry.compress_type not in _PACKED or entry.flag_bits & 1]
-        if other:
+        if other := [name for name, entry in wanted.items() if entry.compress_type not in _PACKED]:
             raise ValueError(f"{other[0][:80]!r} is neither stored nor deflated")
         size = sum(entry.file_size for entry in wanted.values())
-        if size > 4 * path.stat().st_size + _MOST_META or entries[META_NAME].file_size > _MOST_META:
+        if size > 4 * path.stat().st_size + _MOST_META:
             raise ValueError(f"an archive that unpacks to {size} bytes")
         return {name: archive.read(entry) for name, entry in wanted.items()}
 
 
-def _read_at_most(path: Path, most: int) -> bytes:
-    with path.open("rb") as file:
-        data = file.read(most + 1)
-    if len(data) > most:
-        raise ValueError(f"{path.name} of more than {most} bytes")
-    return data
-
-
-def _picture_size(name: str, data: bytes) -> tuple[int, int]:
-    """Width and height of still lossless WebP, which its header tells. Raises ValueError for anything else."""
-    if data[:4] != b"RIFF" or data[8:12] != b"WEBP":
-        raise ValueError(f"{name} is no WebP but {data[:12]!r}")
-    at, kinds = 12, list[bytes]()
-    while at + 13 <= len(data) and len(kinds) < _MOST_CHUNKS:
-        kinds.append(data[at : at + 4])
-        if kinds[-1] == b"VP8L":
-            bits = int.from_bytes(data[at + 9 : at + 13], "little")
-            return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
-        if kinds[-1] in (b"VP8 ", b"ANMF", b"ALPH"):
-            break
-        size = int.from_bytes(data[at + 4 : at + 8], "little")
-        at += 8 + size + size % 2
-    raise ValueError(f"{name} is no lossless WebP but {b' '.join(kinds)[:80]!r}")
-
-
 def unpack(name: str, data: bytes, count: int) -> Pixels:
-    """The pixels of a picture, if it has no more than `count` Gaussians can need. Raises ValueError."""
-    width, height = _picture_size(name, data)
-    if width * height > 2 * count + _MOST_SPARE:
-        raise ValueError(f"{name} for {count} Gaussians, got {width} x {height} pixels")
-    samples = decode_rgba(data, "WEBP")
-    if samples.shape[:2] != (height, width):
-        raise ValueError(f"{name} of {width} x {height} pixels, got {samples.shape[1]} x {samples.shape[0]}")
-    return samples.reshape(-1, 4)
+    """Return the pixels of a picture, if it has no more than `count` Gaussians can need. Raises ValueError."""
+    try:
+        return decode_rgba(data, "WEBP", most_pixels=2 * count + _MOST_SPARE).reshape(-1, 4)
+    except ValueError as error:
+        raise ValueError(f"{name}: expected WebP for {count} Gaussians: {error}") from error
 
 
 def decode_rows(meta: Meta, pixels: Mapping[str, Pixels], header: FrameHeader) -> Gaussians:
-    """The Gaussians of all pictures. Raises LookupError and ValueError for what the pictures do not hold."""
+    """Return the Gaussians of all pictures. Raises LookupError and ValueError for what the pictures do not hold."""
     rows = {part: [_rows(pixels[n], header.count) for n in meta[part]["files"]] for part in ("means", *_ROWS)}
     [quats], [sizes], [colours] = (rows[part] for part in _ROWS)
     log_scales = _values(meta, "scales", sizes[:, :3])
@@ -226,26 +152,26 @@ def _rows(pixels: Pixels, count: int) -> Pixels:
 
 
 def _values(meta: Meta, part: str, codes: Pixels) -> NDArray[np.float64]:
-    """What bytes of a part stand for: places in its codebook or, in version 1, between its bounds."""
+    """Return what bytes of a part stand for: places in its codebook or, in version 1, between its bounds."""
     return np.asarray(meta[part]["codebook"], np.float64)[codes] if _coded(meta) else _between(meta[part], codes, 255)
 
 
 def _between(bounds: Meta, codes: NDArray[Any], most: int) -> NDArray[np.float64]:
-    """(N, C) codes of 0 to `most` as values between `mins` and `maxs` of C channels."""
+    """Return (N, C) codes of 0 to `most` as values between `mins` and `maxs` of C channels."""
     low, high = (np.asarray(bounds[name], np.float64) for name in ("mins", "maxs"))
     return low + (high - low) * (codes / most)
 
 
 def _rotations(pixels: Pixels) -> NDArray[np.float64]:
-    """(N, 4) unit quaternions w, x, y, z. Raises ValueError for one that leaves no component out."""
+    """Return (N, 4) unit quaternions w, x, y, z. Raises ValueError for one that leaves no component out."""
     left_out = pixels[:, 3].astype(np.int64) - 252
     if (left_out < 0).any():
         raise ValueError("a rotation whose alpha is not 252 to 255")
-    kept = (2 * (pixels[:, :3] / 255) - 1) * np.sqrt(0.5)
-    missing = np.sqrt(np.maximum(0, 1 - np.square(kept).sum(axis=1)))
-    places = np.arange(3) + (np.arange(3) >= left_out[:, None])  # of the three others
+    others = (2 * (pixels[:, :3] / 255) - 1) * np.sqrt(0.5)
+    missing = np.sqrt(np.maximum(0, 1 - np.square(others).sum(axis=1)))
+    places = np.arange(3) + (np.arange(3) >= left_out[:, None])
     quaternions = np.zeros((len(pixels), 4))
-    np.put_along_axis(quaternions, places, kept, axis=1)
+    np.put_along_axis(quaternions, places, others, axis=1)
     np.put_along_axis(quaternions, left_out[:, None], missing[:, None], axis=1)
     return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
 
@@ -254,4 +180,4 @@ _HOLDS = Holds(
     rounding="positions to 16 bits, rotations and opacities to 8, sizes and colours to 256 levels, SH to a palette",
     keeps_rows=False,
 )
-SOG = FrameFormat("SOG", "sog", (".sog", ".zip"), read_sog_header, read_sog, write_sog, _HOLDS, writer=LIBRARY)
+SOG = FrameFormat("SOG", "sog", (".sog", ".zip"), read_sog_header, read_sog, write_sog, _HOLDS)

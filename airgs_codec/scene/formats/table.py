@@ -5,12 +5,9 @@ To add a format, write its module, which ends in its `Format`, and list it here.
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import re
-from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
@@ -24,7 +21,7 @@ from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.places.whole import atomic_path, staged_files
 from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME, Settings, write_settings
 from airgs_codec.scene.camera import BLACK, Background
-from airgs_codec.scene.files import reading
+from airgs_codec.scene.files import expecting
 from airgs_codec.scene.formats.clips import FOUR_DGS, SPACETIME_PLY, SPLAT4D, SPLATV, as_gaussians
 from airgs_codec.scene.formats.form import ClipFormat, FrameFormat, FrameHeader, Losses
 from airgs_codec.scene.formats.gltf import GLTF
@@ -41,7 +38,6 @@ CLIP_SUFFIXES = tuple(suffix for form in CLIPS for suffix in form.suffixes if su
 POINT_CLOUD, ITERATION = "point_cloud", "iteration_*/point_cloud.ply"  # of an INRIA model: the second in the first
 LEVELS = "lod-meta.json"  # of a scene whose folders are pieces of it in levels of detail
 INPUT = "input.ply"  # the points that such a model began with
-MOST_WORDS = 120  # characters on names
 _ARCHIVES = (".zip",)  # of a data set rather
 SOG_FOLDER = replace(SOG, name="SOG folder", key="sog-folder", write=write_sog_folder)
 KEYS = tuple(form.key for form in FRAMES)  # the names of formats that can be asked for
@@ -58,18 +54,13 @@ class Found:
 
 
 def clip_format(path: Path) -> ClipFormat | None:
-    """The format of a file that is a clip, None for a frame. Raises SceneError where a .ply has no header."""
-    form = _find_format(path)
+    """Return the format of a file that is a clip; None for a frame, a folder or none. Raises SceneError."""
+    form = _find_format(path) if path.is_file() else None
     return form if isinstance(form, ClipFormat) else None
 
 
-def is_clip(path: Path) -> bool:
-    """Return whether a file is there that is a clip. Raises SceneError where a .ply has no header."""
-    return path.is_file() and clip_format(path) is not None
-
-
 def format_of(path: Path) -> FrameFormat:
-    """The format of a file or folder that is a frame. Raises SceneError when it is none of the table's."""
+    """Return the format of a file or folder that is a frame. Raises SceneError when it is none of the table's."""
     form = _find_format(path)
     if isinstance(form, ClipFormat):
         raise SceneError(f"{path}: expected one frame, got {form.name}, which holds many: give it by its own name")
@@ -80,34 +71,35 @@ def format_of(path: Path) -> FrameFormat:
 
 
 def _find_format(path: Path) -> FrameFormat | ClipFormat | None:
-    """The format by the name of a file and, of a .ply, its header; None for a name that no format has."""
+    """Return the format by the name of a file and, of a .ply, its header; None for a name that no format has."""
     if path.is_dir():
         return SOG
     named = [form for form in (*FRAMES, *CLIPS) if path.suffix.lower() in form.suffixes]
     if len(named) < 2:
         return named[0] if named else None
-    vertex = read_header(path).vertex
+    vertex = read_header(path).elements.get("vertex")
     signed = [form for form in named if vertex and any(sign in vertex.properties for sign in form.signs)]
     return next(iter(signed), next(form for form in named if not form.signs))
 
 
 def read_frame_header(path: Path) -> FrameHeader:
-    """Count and SH degree of a frame of any format, without its rows. Raises SceneError."""
-    with reading(path):
-        return format_of(path).read_header(path)
+    """Return count and SH degree of a frame of any format, without its rows. Raises SceneError."""
+    form = format_of(path)
+    with expecting(path, form.name):
+        return form.read_header(path)
 
 
 def read_frame(path: Path) -> Gaussians:
-    """A frame of any format, as its file has it, with positions in float64 where it has such. Raises SceneError."""
-    with reading(path):
-        return format_of(path).read(path)
+    """Read a frame of any format as its file has it, positions in float64 where that has such. Raises SceneError."""
+    form = format_of(path)
+    with expecting(path, form.name):
+        return form.read(path)
 
 
 def read(path: str | Path) -> Gaussians:
-    """One frame from a file or folder of any format that holds one, as it is stored.
+    """Read one frame from a file or folder of any format that holds one, as it is stored.
 
-    Raises SceneError for one that is broken, of no format, whose positions float32 cannot hold, or holds other than one
-    frame (`open_sequence` reads both).
+    Raises SceneError for a broken one, one of no format or of many frames, and positions that float32 cannot hold.
     """
     found = find_frames(Path(path_argument("path", path)))
     if len(found.paths) != 1:
@@ -126,9 +118,9 @@ def is_frame(path: Path) -> bool:
 
 
 def find_frames(place: Path) -> Found:
-    """The frames at a place: a file, a folder of frames, an INRIA model, a SOG folder or its meta.json.
+    """Find the frames at a path: a file, a folder of frames, an INRIA model, a SOG folder or its meta.json.
 
-    Frames of a folder have one suffix; where some are .ply, other files are left alone. Raises SceneError.
+    Frames of a folder have one suffix; where some are .ply, other files are ignored. Raises SceneError.
     """
     if place.name == META_NAME and is_sog_folder(place.parent):
         place = place.parent
@@ -165,34 +157,14 @@ def natural_key(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", path.stem) if part]
 
 
-def oddities_of(paths: Sequence[Path]) -> Iterator[str]:
-    """What is odd about the names of frames, a sentence each: names of several kinds, numbers missing or there twice.
-
-    Names are of a kind that differ in one number alone; of several numbers the last one that varies counts frames.
-    """
-    alike: dict[tuple[str, ...], list[list[str]]] = defaultdict(list)
-    for path in paths:
-        parts = re.split(r"(\d+)", path.stem)
-        alike[tuple(parts[::2])].append(parts)
-    kinds: dict[str, list[int]] = defaultdict(list)
-    for same in alike.values():
-        varying = [at for at in range(1, len(same[0]), 2) if len({parts[at] for parts in same}) > 1]
-        counter = max(varying, default=len(same[0]) - 2)
-        for parts in same:
-            kind = "".join("#" if at == counter else part for at, part in enumerate(parts))
-            kinds[kind].append(int(parts[counter]) if counter > 0 else 0)
-    if len(kinds) > 1 and any("#" in kind for kind in kinds):
-        named = ", ".join(f"{kind} ({len(numbers)})" for kind, numbers in kinds.items())
-        short = named if len(named) < MOST_WORDS else f"{named[:MOST_WORDS]}…"
-        yield f"frames have names of {len(kinds)} kinds, {short}: all are taken as one sequence, in the order of names"
-    for kind, numbers in kinds.items():
-        known = sorted(set(numbers))
-        if len(known) < len(numbers) and "#" in kind:
-            yield f"{kind}: some frames have the same number, such as {max(known, key=numbers.count)}"
-        if gaps := [(a, b) for a, b in pairwise(known) if b > a + 1]:
-            count, (before, after) = sum(b - a - 1 for a, b in gaps), gaps[0]
-            first = f"the first between {before} and {after}: frames are taken as consecutive"
-            yield f"{kind}: {count} number{'s are' if count > 1 else ' is'} missing, {first}"
+def gap_notes(paths: Sequence[Path]) -> list[str]:
+    """Return a sentence on numbers that are missing in the names of frames, none where they follow one another."""
+    numbers = [int(found[-1]) for path in paths if (found := re.findall(r"\d+", path.stem))]
+    if not (gaps := [(a, b) for a, b in pairwise(numbers) if b > a + 1]):
+        return []
+    count, (before, after) = sum(b - a - 1 for a, b in gaps), gaps[0]
+    missing = f"{count} number{'s are' if count > 1 else ' is'} missing in the names of frames"
+    return [f"{missing}, the first between {before} and {after}: frames are taken as consecutive"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,16 +177,15 @@ class Target:
 
     @property
     def many(self) -> bool:
-        """Whether it takes any number of frames, each in a file of its own."""
+        """Whether each of any number of frames gets a file of its own."""
         return self.folder and self.form is not SOG_FOLDER
 
 
 def choose_target(place: str, key: str | None, frames: int) -> Target:
-    """Return where so many frames go, by the format's name or the ending of a place.
+    """Return where frames go, by the format's name or the ending of a place.
 
     A name without an ending is a folder of frames; so is what ends in a slash or exists as a folder. Raises ConfigError
-    when the ending is that of another format or of none, the place does not suit the number of frames or is in the way,
-    or the library that writes is not there.
+    for the ending of another format or of none, and a place that does not suit the number of frames or is in the way.
     """
     if not place:
         raise ConfigError("expected the name of a file or folder for the frames, got an empty one")
@@ -242,8 +213,6 @@ def choose_target(place: str, key: str | None, frames: int) -> Target:
     if frames != 1 and not target.many:
         hint = f"for more, name a folder and --format {target.form.key.removesuffix('-folder')}"
         raise ConfigError(f"{place}: expected one frame, got {frames} (--frames N; {hint})")
-    if (need := target.form.writer) and importlib.util.find_spec(need) is None:
-        raise ConfigError(f"{place}: {target.form.name} needs {need}: pip install 'airgs-codec[formats]'")
     return target
 
 
@@ -254,21 +223,20 @@ def write_frames(
     background: Background = BLACK,
     origin: Origin = ZERO,
 ) -> list[str]:
-    """Write numbered frames, so many a second; returns what is lost of them, a line for each kind.
+    """Write numbered frames; returns a line for each kind of loss.
 
     A folder of frames without a sequence.json gets one, with the frame rate and the background. Where the positions of
-    frames are from an `origin`, a format of doubles has that added; for others sequence.json has it.
-
-    A file or folder that is there keeps what it has until all frames are written, and then what is not replaced by a
-    frame of the same name. Raises SceneError, and what the iterator of frames raises.
+    frames are from an `origin`, a format of doubles has that added; for others sequence.json has it. What is replaced
+    stays until all frames are written. Raises SceneError, and what the iterator of frames raises.
     """
     losses, doubles = Losses(target.form.holds, target.form.name), target.form.holds.doubles
     fitted = ((number, losses.fit(g, f"frame {number}")) for number, g in frames)
     if doubles and origin != ZERO:
         fitted = ((number, in_world(g, origin)) for number, g in fitted)
-    beside = Settings(fps, background=background, origin=ZERO if doubles else origin)
+    own = Settings(fps, background=background, origin=ZERO if doubles else origin)
     settled = target.many and not (target.path / SETTINGS_NAME).exists()
-    with _made_folders(target.path), (staged_files if target.folder else atomic_path)(target.path) as temporary:
+    target.path.parent.mkdir(parents=True, exist_ok=True)
+    with (staged_files if target.folder else atomic_path)(target.path) as temporary:
         try:
             for number, gaussians in fitted:
                 name = f"{number:06d}.{target.form.key}"
@@ -276,31 +244,16 @@ def write_frames(
         except SceneError as error:  # of a name that nobody has given
             raise SceneError(str(error).replace(str(temporary), str(target.path))) from error
         if settled:
-            write_settings(temporary, beside)
+            write_settings(temporary, own)
     way = f"{SETTINGS_NAME} says it" if settled else "add that"
-    return losses.lines() + [f"{target.form.name} has positions from {origin}: {way}"] * (beside.origin != ZERO)
+    return losses.lines() + [f"{target.form.name} has positions from {origin}: {way}"] * (own.origin != ZERO)
 
 
 def write(gaussians: Gaussians | Mapping[str, Any], path: str | Path) -> list[str]:
-    """Write one frame in the format that the ending of `path` tells; returns what is lost, a line for each kind.
+    """Write one frame in the format that the ending of `path` tells; returns a line for each kind of loss.
 
-    The frame is Gaussians or, as in `Sequence.from_arrays`, a mapping of arrays. A file there is replaced once the new
-    one is whole. A path without an ending is a folder, for frames of .ply.
-    Raises ConfigError for a path that does not suit, SceneError for what is no frame or where no Gaussian is finite.
+    The frame is Gaussians or, as in `Sequence.from_arrays`, a mapping of arrays. A path without an ending is a folder,
+    for frames of .ply. Raises ConfigError for a path that does not suit, SceneError for what is no frame.
     """
     target = choose_target(str(path_argument("path", path)), None, 1)
     return write_frames(target, [(0, as_gaussians(gaussians))], DEFAULT_FPS)
-
-
-@contextmanager
-def _made_folders(path: Path) -> Iterator[None]:
-    """Within the block all folders above a path are there; after an error those that were made are gone again."""
-    missing = [folder for folder in path.absolute().parents if not folder.exists()]
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield
-    except BaseException:
-        for folder in missing:
-            with suppress(OSError):
-                folder.rmdir()
-        raise

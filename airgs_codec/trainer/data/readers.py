@@ -23,7 +23,7 @@ from airgs_codec.media.image import is_turned
 from airgs_codec.places.place import is_address
 from airgs_codec.scene.beside import DEFAULT_FPS, exact_number, frame_rate
 from airgs_codec.scene.camera import with_pixels
-from airgs_codec.scene.cameras import colmap, forms
+from airgs_codec.scene.cameras import colmap, forms, read_posed
 from airgs_codec.scene.cameras.forms import Posed, as_path
 from airgs_codec.scene.files import Cursor, expecting, read_object
 from airgs_codec.scene.formats.ply import read_points
@@ -56,7 +56,7 @@ def read_transforms(folder: Path) -> MultiviewScene:
     Raises SceneError.
     """
     path = folder / forms.TRANSFORMS
-    posed = forms.read_transforms(path)
+    posed = read_posed(path)
     fps, points = _frame_rate(path), _named_points(folder, read_object(path).get("ply_file_path"))
     films = {p.camera.name: (_picture_shot(folder, p), folder / p.picture) for p in posed}
     if all(path.suffix.lower() in VIDEO_SUFFIXES for _, path in films.values()):
@@ -81,7 +81,7 @@ def _picture_shot(folder: Path, posed: Posed) -> Shot:
 
 def read_panoptic(folder: Path) -> MultiviewScene:
     path = folder / forms.PANOPTIC
-    posed = forms.read_panoptic(path)
+    posed = read_posed(path)
     return MultiviewScene(folder, _frame_rate(path), in_frames(posed, partial(_masked_shot, folder)))
 
 
@@ -160,7 +160,7 @@ def find_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
 def read_poses_bounds(folder: Path) -> MultiviewScene:
     path = folder / forms.LLFF
     videos = sorted(find_files(folder, VIDEO_SUFFIXES) + find_files(folder / "videos", VIDEO_SUFFIXES), key=natural_key)
-    cameras, stems = [p.camera for p in forms.read_llff(path)], [video.stem for video in videos]
+    cameras, stems = [p.camera for p in read_posed(path)], [video.stem for video in videos]
     if len(cameras) != len(videos):
         raise SceneError(f"{path}: expected a row for each of {len(videos)} videos, got {len(cameras)}")
     if twice := sorted({stem for stem in stems if stems.count(stem) > 1}):

@@ -228,7 +228,7 @@ REFUSED = [  # a file, options, what is changed of it
     ("a.splatv", {}, lambda data: data[:-1], "truncated"),
     ("a.splatv", {}, other(np.zeros_like(ROWS)), "rows of zeros"),
     ("a.splatv", {}, other(texwidth=1 << 62), "truncated"),
-    ("a.splatv", {}, other(texwidth="4096"), "at least 1"),
+    ("a.splatv", {}, other(texwidth="4096"), "expected a .splatv"),
     ("a.splatv", {}, other(type="other"), "one chunk"),
     ("a.splatv", {}, lambda data: data[:4] + b"\xff\xff\xff\xff" + data[8:], "header"),
     ("a.splatv", {"bake_fps": 0}, bytes, "0 < fps"),

@@ -51,7 +51,7 @@ def write_ftgs(path: Path, frames: Sequence[Gaussians], _fps: float) -> None:
     still = (m.rest.means, m.rest.quaternions, m.rest.log_scales, logits, m.rest.sh_dc)
     table = np.concatenate([*still, m.centres[:, None], deviations, m.motion[:, 0], rest], axis=1)
     target = io.BytesIO()
-    write_floats(target, names, iter([table]), len(m.rest))
+    write_floats(target, names, [table.astype(np.float32)])
     comments = "".join(f"comment {name} {value}\n" for name, value in said.items()).encode()
     path.write_bytes(target.getvalue().replace(b"element", comments + b"element", 1))
 
