@@ -21,9 +21,9 @@ Settings = TypeVar("Settings")
 def setting(default: Any, about: str, /, **more: Any) -> Any:
     """Return a field of settings with its default; `about` is a phrase that says what it means, with its unit.
 
-    `more`: what an option is that is made of it: arguments of `cyclopts.Parameter` (choices, metavar, name, alias);
-    `read`, a function from text; `least`, of a whole number; `default`, in words; `topic`, if it is no everyday option;
-    `option`: False, if it is none.
+    `more`, of the option that is made of it: arguments of `cyclopts.Parameter` (choices, metavar, name, alias,
+    validator); `read`, a function from text; `default`, in words; `topic`, unless it is an everyday option; `option`:
+    False for none.
     """
     return field(default=default, metadata={"help": about, **more})
 
@@ -35,7 +35,7 @@ def computed_setting(default: Callable[[], Any], about: str, /, **more: Any) -> 
 
 def required(about: str, **more: Any) -> Any:
     """Return a field without a default, which must be given."""
-    return field(metadata={"help": about, **more})
+    return field(kw_only="alias" in more, metadata={"help": about, **more})
 
 
 def default_of(one: Field[Any]) -> Any:

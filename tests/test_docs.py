@@ -51,9 +51,9 @@ def test_pages_are_short():
 
 
 @pytest.mark.parametrize(("code", "finding"), [
-    ("airgs-encode scene/ --no-such-option", "expected an option that there is"),
-    ("airgs-play scene.airgs --seed 4 --policy", "expected a value"),
-    ("airgs-train views/ | airgs-encode model/ --no-such-option", "expected an option"),
+    ("airgs-encode scene/ --no-such-option", "Unknown option"),
+    ("airgs-play scene.airgs --seed 4 --policy", "requires an argument"),
+    ("airgs-train views/ | airgs-encode model/ --no-such-option", "Unknown option"),
     ("python -m tools.no_such_tool --quick", "No module"),
     ("python -m tools.check_docs --lots 3", "unrecognized arguments"),
     ("tools/no_such_tool.py", "no such file"),

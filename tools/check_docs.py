@@ -31,10 +31,10 @@ from functools import cache
 from pathlib import Path
 from unittest.mock import patch
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, MissingArgumentError
 
 from airgs_codec.cli import options
-from airgs_codec.cli.manifest import make_manifest as manifest_app
+from airgs_codec.cli.manifest import app as manifest_app
 from tools.lab.experiments import EXPERIMENTS
 
 REPOSITORY = Path(__file__).parent.parent
@@ -43,7 +43,7 @@ FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`([^`]+)`")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 PATH = re.compile(r"(airgs_codec|docs|tests|tools|manifests|\.ci)/[\w./-]*")
-MISSING = re.compile("the following arguments are required|^expected .*, got none$")
+MISSING = "the following arguments are required"
 NUMBER = re.compile(r"\d[\d,]*(?:\.\d+)?")
 OTHER_PROGRAMS = {"git", "cd", "pip", "python3", "source"}
 
@@ -144,7 +144,7 @@ def known_options() -> set[str]:
         path for folder in ("tools", "tests/long", "tests/makers") for path in (REPOSITORY / folder).rglob("*.py")
     ]
     declared = {option for path in sources for option in re.findall(r'"(--[a-z][a-z0-9-]*)"', path.read_text())}
-    programs = [[name] for name in scripts()] + [["airgs-manifest", name] for name in manifest_app()]
+    programs = [[name] for name in scripts()] + [["airgs-manifest", name] for name in manifest_app]
     programs += [["python", "-m", "tools.lab", one.name] for one in EXPERIMENTS]
     helps = io.StringIO()
     with contextlib.redirect_stdout(helps):
@@ -186,7 +186,7 @@ def command_error(words: list[str], whole: bool) -> str | None:
     if module and len(words) == 3 and (not whole or words[2].startswith("tests.makers.")):  # makers take no arguments
         return None if resolves(words[2]) else f"{words[2]}: no such module"
     refusal = _refusal(words)
-    if refusal is None or (MISSING.search(refusal) and not whole):
+    if refusal is None or (MISSING in refusal and not whole):
         return None
     return f"{shlex.join(words)}: {refusal}"
 
@@ -217,7 +217,8 @@ def _refusal(words: list[str]) -> str | None:
             if "--help-all" not in words:
                 app.parse_args(words)
         except CycloptsError as error:
-            raise _ParserError(options.refusal(error)) from error
+            missing = isinstance(error, MissingArgumentError) and not error.keyword
+            raise _ParserError(MISSING if missing else str(error)) from error
         raise _ParserError
 
     def refuse(_: argparse.ArgumentParser, message: str) -> None:

@@ -1,40 +1,27 @@
-"""airgs-manifest compare and rungs: two scenes or packages beside each other, or a package beside its original."""
+"""airgs-manifest compare and rungs: two scenes or packages, or a package and its original."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+
+from cyclopts.validators import Number
 
 from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import (
     FORMS,
-    FRAMES,
+    FRAMES_HELP,
     PACKAGE,
     BakingOptions,
+    as_options,
     expect_folder,
     open_frames,
     parse_range,
-    takes,
 )
 from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.compare import (
-    Comparison,
-    Side,
-    comparable,
-    compare_rungs,
-    compare_two,
-    compared_views,
-    comparison_json,
-    format_rungs,
-    format_two,
-    is_package,
-    left_out,
-    open_side,
-    shared_views,
-    side_by_side,
-)
+from airgs_codec.inspect import compare as pictures
 from airgs_codec.media.image import write_png
 from airgs_codec.package.package import open_package
 from airgs_codec.package.region import CHECKING, before_background, draw_views
@@ -43,99 +30,91 @@ from airgs_codec.render import read_cameras
 from airgs_codec.scene.camera import cameras_from, with_near_planes
 from airgs_codec.scene.formats.table import clip_format
 
-EVERY, VIEWS = "only every N-th of the frames", "cameras to compare from"
+EVERY_HELP, VIEWS_HELP = "only every N-th of the frames", f"cameras to compare from{FORMS}"
 
 
+@as_options
 @dataclass(frozen=True, kw_only=True)
-class Compare(BakingOptions):
+class Compare:
     a: str = required(f"the reference: a scene, or {PACKAGE}")
     b: str = required("what is compared with it, either as well")
-    frames: str = setting(":", FRAMES, metavar="A:B", default="all that both have")
-    every: int = setting(1, EVERY, least=1)
+    frames: str = setting(":", FRAMES_HELP, metavar="A:B", default="all that both have")
+    every: int = setting(1, EVERY_HELP, validator=Number(gte=1))
     rung: str | None = setting(None, "keyframe quality and level of the package, of B where both are", default="Q0+L0")
-    views: Path | None = setting(None, f"{VIEWS}{FORMS}", default="those of A, B or a package's region, or an orbit")
+    views: Path | None = setting(None, VIEWS_HELP, default="those of A, B or a package's region, or an orbit")
     output: Path | None = setting(
-        None, "write A, B and their difference in the worst picture: worst.png", alias="-o", metavar="DIR"
+        None, "folder for a picture of A, B and their worst difference", alias="-o", metavar="DIR"
     )
     json: bool = setting(False, "the same as JSON")
+    baking: BakingOptions = field(default_factory=BakingOptions)
 
 
-@takes(Compare)
 def compare(options: Compare) -> int:
     """Compare two scenes or packages: PSNR, SSIM, CIEDE2000, bytes, pictures."""
-    if options.output:
-        expect_folder(options.output)
+    folder = options.output
+    if folder:
+        expect_folder(folder)
     a, b = _open_both(options)
     numbers = range(*parse_range(options.frames, min(a.frames, b.frames)), options.every)
     given = cameras_from(a.origin, read_cameras(options.views)) if options.views else ()
-    words, cameras = shared_views(a, b, compared_views(given), str(options.views))
+    words, cameras = pictures.shared_views(a, b, pictures.compared_views(given), str(options.views))
     with Bar(options.json) as bar:
-        result = compare_two(a, b, numbers, cameras, bar)
-    written = _write_worst(options.output, a, b, result) if options.output else []
-    notes = left_out(a, b)
-    record = comparison_json(a, b, result)
+        result = pictures.compare_two(a, b, numbers, cameras, bar)
+    written = []
+    if folder:
+        folder.mkdir(parents=True, exist_ok=True)
+        written.append(str(folder / "worst.png"))
+        with atomic_path(folder / "worst.png") as temporary:
+            write_png(temporary, pictures.side_by_side(a, b, result.worst))
+    record, notes = pictures.comparison_json(a, b, result), pictures.left_out(a, b)
     if options.json:
-        more = {"views": words, "left_out": notes, "pictures": [str(path) for path in written]}
-        say(json.dumps(record | more))
+        say(json.dumps(record | {"views": words, "left_out": notes, "pictures": written}))
     else:
-        say(format_two(record, words, notes))
-        if written:
-            say(f"pictures: {', '.join(map(str, written))}")
+        say(pictures.format_two(record, words, notes) + (f"\npictures: {', '.join(written)}" if written else ""))
     return 0
 
 
-def _open_both(options: Compare) -> tuple[Side, Side]:
-    baking = options.baking()
-    a_is_package, b_is_package = is_package(options.a), is_package(options.b)
-    if options.rung is not None and not (a_is_package or b_is_package):
-        raise ConfigError("--rung: expected a package, got two scenes")
-    clips = [place for place in (options.a, options.b) if clip_format(Path(place))]
-    if any(baking.values()) and not clips:
+def _open_both(options: Compare) -> tuple[pictures.Side, pictures.Side]:
+    baking, clips = vars(options.baking), [clip_format(Path(place)) for place in (options.a, options.b)]
+    if any(baking.values()) and not any(clips):
         raise ConfigError(f"--bake-fps, --duration: expected a clip, got {options.a} and {options.b}")
-    a = open_side(options.a, None if b_is_package else options.rung, **(baking if options.a in clips else {}))
-    b = open_side(options.b, options.rung if b_is_package else None, **(baking if options.b in clips else {}))
-    return comparable(a, b)
+    rungs = (None, options.rung) if pictures.is_package(options.b) else (options.rung, None)
+    places = zip((options.a, options.b), rungs, clips, strict=True)
+    sides = [pictures.open_side(place, rung, **(baking if clip else {})) for place, rung, clip in places]
+    return pictures.comparable(*sides)
 
 
-def _write_worst(folder: Path, a: Side, b: Side, result: Comparison) -> list[Path]:
-    picture = side_by_side(a, b, result.worst)
-    folder.mkdir(parents=True, exist_ok=True)
-    with atomic_path(folder / "worst.png") as temporary:
-        write_png(temporary, picture)
-    return [folder / "worst.png"]
-
-
+@as_options
 @dataclass(frozen=True, kw_only=True)
-class Rungs(BakingOptions):
+class Rungs:
     package: str = required(PACKAGE)
     original: str = required("the sequence that it was made of")
-    frames: str = setting(":", FRAMES, metavar="A:B", default="all")
-    every: int = setting(1, EVERY, least=1)
-    views: Path | None = setting(None, f"{VIEWS}{FORMS}", default="drawn from the package's region")
-    draws: int = setting(8, "views that are drawn", least=1)
+    frames: str = setting(":", FRAMES_HELP, metavar="A:B", default="all")
+    every: int = setting(1, EVERY_HELP, validator=Number(gte=1))
+    views: Path | None = setting(None, VIEWS_HELP, default="drawn from the package's region")
+    draws: int = setting(8, "views that are drawn", validator=Number(gte=1))
     json: bool = setting(False, "the same as JSON")
+    baking: BakingOptions = field(default_factory=BakingOptions)
 
 
-@takes(Rungs)
 def rungs(options: Rungs) -> int:
     """Measure PSNR, SSIM and CIEDE2000 of every rung against the original."""
     package = open_package(options.package)
-    original = open_frames(options.original, quiet=options.json, **options.baking())
-    original = original.at_origin(package.origin)
+    original = open_frames(options.original, quiet=options.json, **vars(options.baking)).at_origin(package.origin)
     if len(original) != package.manifest.frames:
         raise ConfigError(f"{options.original}: expected {package.manifest.frames} frames, got {len(original)}")
     numbers = range(*parse_range(options.frames, len(original)), options.every)
     region, middle = package.manifest.region, original.load([len(original) // 2]).frames[0]
     if options.views:
-        views = compared_views(cameras_from(package.origin, read_cameras(options.views)))
+        views = pictures.compared_views(cameras_from(package.origin, read_cameras(options.views)))
     else:
         views = draw_views(region, options.draws, CHECKING)
     cameras = before_background(region, with_near_planes(views, middle))
     with Bar(options.json) as bar:
-        rows = compare_rungs(package, original, numbers, cameras, bar)
+        rows = pictures.compare_rungs(package, original, numbers, cameras, bar)
     if options.json:
         say(json.dumps({"frames": list(numbers), "views": len(cameras), "rungs": rows}))
     else:
         say(f"{len(numbers)} frames in {len(cameras)} views; PSNR of the error pooled over pictures")
-        say(format_rungs(rows))
+        say(pictures.format_rungs(rows))
     return 0

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._settings import required, setting
-from airgs_codec.cli.options import FRAMES, PACKAGE, open_frames, parse_range, run_program, takes
+from airgs_codec.cli.options import FRAMES_HELP, PACKAGE, as_options, open_frames, parse_range, run_program
 from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.errors import input_rows
 from airgs_codec.package.layout import JSON_NAME
-from airgs_codec.package.package import Package, open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.package.region import background_of, misread
 from airgs_codec.places.whole import atomic_path
 from airgs_codec.scene.formats.table import KEYS, Numbered, choose_target, write_frames
@@ -24,7 +25,8 @@ from airgs_codec.scene.formats.table import KEYS, Numbered, choose_target, write
 ROWS_NAME = "rows.npz"  # an array for each frame, named by its number
 
 
-@dataclass(frozen=True, slots=True)
+@as_options
+@dataclass(frozen=True, kw_only=True)
 class Decode:
     package: str = required(PACKAGE)
     output: str = required(
@@ -35,18 +37,11 @@ class Decode:
     )
     level: str = setting("L0", "delta level: L0, L1, … or its number")
     keyframe_quality: str = setting("Q0", "keyframe quality: Q0, Q1, … or its number")
-    frames: str = setting(":", FRAMES, metavar="A:B", default="all")
-    against: str | None = setting(
-        None, f"the original: write which of its rows every row is to {ROWS_NAME} beside the frames", metavar="SEQUENCE"
-    )
+    frames: str = setting(":", FRAMES_HELP, metavar="A:B", default="all")
+    against: str | None = setting(None, f"the original: {ROWS_NAME} says which of its rows each is", metavar="SEQUENCE")
     json: bool = setting(False, "print figures as JSON")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    return run_program("airgs-decode", decode, argv)
-
-
-@takes(Decode)
 def decode(options: Decode) -> int:
     """Decode a package to .ply or other splat files."""
     package = open_package(options.package)
@@ -65,8 +60,13 @@ def decode(options: Decode) -> int:
         found = input_rows(package, open_frames(options.against, quiet=options.json), start, stop, level=level)
         rows = dict(zip(map(str, range(start, stop)), found, strict=True))
     with Bar(options.json) as bar:
-        decoded = _decoded(package, (start, stop), (level, quality), bar)
-        lost = write_frames(target, decoded, m.fps, background_of(m.region), package.origin)
+
+        def decoded() -> Iterator[Numbered]:
+            for frame in decode_frames(package, start, stop, level=level, keyframe_quality=quality):
+                yield frame.number, frame.gaussians
+                bar("decoding", frame.number - start + 1, stop - start)  # when the next one is asked for
+
+        lost = write_frames(target, decoded(), m.fps, background_of(m.region), package.origin)
     if options.against:
         with atomic_path(folder / ROWS_NAME) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, **rows)
@@ -78,8 +78,4 @@ def decode(options: Decode) -> int:
     return 0
 
 
-def _decoded(package: Package, frames: tuple[int, int], rung: tuple[str, str], bar: Bar) -> Iterator[Numbered]:
-    """Frames of a level and keyframe quality with their numbers; each counts as done when the next is asked for."""
-    for frame in decode_frames(package, *frames, level=rung[0], keyframe_quality=rung[1]):
-        yield frame.number, frame.gaussians
-        bar("decoding", frame.number - frames[0] + 1, frames[1] - frames[0])
+main = partial(run_program, "airgs-decode", decode)

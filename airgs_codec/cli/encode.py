@@ -3,41 +3,41 @@
 from __future__ import annotations
 
 import json
-import shutil
+import os
+import stat
 import sys
-import tempfile
-from collections.abc import Callable, Sequence
+import threading
+import time
+from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 from airgs_codec._settings import required, setting
 from airgs_codec.analysis.rows import AUTO
 from airgs_codec.analysis.viewpoints import GUESS
-from airgs_codec.cli.follow import frames_may_come, report_groups
 from airgs_codec.cli.options import (
     AXIS,
     BUCKET,
     CUDA,
-    DEVICES,
+    DEVICE,
     FORMS,
-    RATE,
+    FPS,
     BakingOptions,
     Given,
     WorkOptions,
-    expect_one,
+    as_options,
     expect_report,
     given,
     open_frames,
-    option_name,
     run_program,
-    takes,
 )
 from airgs_codec.cli.terminal import Bar, say, warn
-from airgs_codec.cli.train import train_by_default
+from airgs_codec.cli.train import Train, train_model
 from airgs_codec.encoder.decide import decide as make_plan
-from airgs_codec.encoder.live import follow
+from airgs_codec.encoder.live import PublishedGroup, follow
 from airgs_codec.encoder.order import hold_frames
 from airgs_codec.encoder.plan import Plan
 from airgs_codec.encoder.publish import ENDING, EncodeReport
@@ -53,7 +53,6 @@ from airgs_codec.package.region import read_world, world_from
 from airgs_codec.package.tables import World
 from airgs_codec.places.place import is_address
 from airgs_codec.places.whole import expect_folder_name, expect_plain
-from airgs_codec.render import cpu_kernels
 from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.beside import read_attribution
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
@@ -61,231 +60,215 @@ from airgs_codec.trainer.data.readers import is_multiview
 from airgs_codec.trainer.track import decide as will_track
 from airgs_codec.trainer.track import tracked
 
-PRESETS: dict[str, Callable[[EncodeSettings], EncodeSettings]] = {
-    "default": replace,
-    "quick": as_preview,
-    "paper": as_in_paper,
-}
-PRINTED = "-"  # in place of a file: the plan is printed
-EVERYDAY = ("quality", "group_frames", "margin")  # of the settings of the encoder
+BY_PRESET: dict[str, Callable[[EncodeSettings], EncodeSettings]]
+BY_PRESET = {"default": replace, "quick": as_preview, "paper": as_in_paper}
 
 
+@as_options
 @dataclass(frozen=True, kw_only=True)
-class Encode(BakingOptions, WorkOptions):
+class Encode:
     scene: str = required(
         "frames (a folder or a file: .ply, compressed .ply, .spz, SOG, .splat, glTF), a clip (.splatv, .4dgs, "
-        ".splat4d, Spacetime Gaussians .ply), either at s3://, gs://, az:// too, or a folder of "
-        "multi-view pictures"
+        ".splat4d, Spacetime Gaussians .ply), either at s3://, gs://, az:// too, or a folder of multi-view pictures"
     )
-    output: str | None = setting(
-        None, f"package: a folder or {BUCKET}", alias="-o", metavar="PLACE", default="SCENE.airgs"
-    )
+    output: str | None = setting(None, f"a folder or {BUCKET}", alias="-o", metavar="PLACE", default="SCENE.airgs")
     preset: str = setting(
         "default",
-        "settings to begin with: quick is a first look; it makes no trial encodes; paper has eleven levels pruned by "
-        "usage alone, equal steps, one keyframe",
-        choices=tuple(PRESETS),
+        "settings to begin with: quick makes no trial encodes, paper has its levels",
+        choices=tuple(BY_PRESET),
     )
-    settings: Given = given(EncodeSettings, "encoder", EVERYDAY)
-    plan: str | None = setting(
-        None,
-        "alone: print what would be chosen, as JSON, and encode nothing; with a file of that: follow it",
-        topic="encoder",
-    )
+    settings: Given = given(EncodeSettings, "encoder", ("quality", "group_frames", "margin"))
+    plan: str | bool | None = setting(None, "alone: print what would be chosen, as JSON; with such a file: follow it")
     track: bool | None = setting(
-        None,
-        "frames that share no rows become Gaussians that move, fitted to pictures of the frames; seconds a frame, and "
-        "then far fewer bytes",
-        default="where the first frames share none",
+        None, "first fit Gaussians that move to frames that share no rows", default="where the first frames share none"
     )
-    target_psnr: float | None = setting(
-        None, "search for the quality at which the top rung has so many dB", metavar="DB"
-    )
+    target_psnr: float | None = setting(None, "search for the quality that gives the top rung this PSNR", metavar="DB")
     target_de: float | None = setting(None, "the same for a mean colour difference CIEDE2000", metavar="ΔE")
-    target_kb: float | None = setting(None, "the same for so many kilobytes a frame on the top rung", metavar="KB")
-    target_mbps: float | None = setting(None, "the same for so many megabits a second of playback", metavar="MBPS")
+    target_mbps: float | None = setting(None, "the same for a bit rate of playback", metavar="MBPS")
     views: Path | None = setting(None, f"cameras to measure with{FORMS}", default="beside the frames, else an orbit")
-    fps: Fraction | None = setting(None, "frames a second", default="what the scene says, else 30", **RATE)
+    fps: Fraction | None = setting(None, "frames a second", default="what the scene says, else 30", **FPS)
     up: tuple[float, ...] | None = setting(
         None, "direction that points up in the frames, x, -y, … or X,Y,Z; by default as their format has it", **AXIS
     )
     unit: float | None = setting(None, "with --up: metres that a unit of the frames is long", topic="which way is up")
     transform: Path | None = setting(
-        None,
-        "instead of these: 3x4 or 4x4 numbers row by row, text or JSON, from the frames to a world with y up in "
-        "metres: a turn, one scale, a shift",
-        topic="which way is up",
+        None, "instead: a file of 3x4 or 4x4 numbers, to a world with y up in metres", topic="which way is up"
     )
     follow: bool = setting(False, "encode group by group while frames are still being written")
-    idle: float = setting(
-        30.0, "with --follow, unless standard input is a pipe: seconds without a frame that end it", topic="output"
-    )
-    device: str = setting("auto", f"where video is trained and pictures are drawn{CUDA}", choices=DEVICES, topic="work")
+    idle: float = setting(30.0, "seconds without a frame that end --follow, unless stdin is a pipe", topic="output")
+    device: str = setting("auto", f"where video is trained and pictures are drawn{CUDA}", topic="work", **DEVICE)
     audio: Path | None = setting(None, "a file whose sound goes with the frames", topic="output")
     attribution: str | None = setting(None, "who made the scene", topic="output", default="SCENE/ATTRIBUTION.txt")
-    report: Path | None = setting(None, "folder for a page with what came out beside what was given", metavar="DIR")
+    report: Path | None = setting(None, "folder for a page that compares the package with the scene", metavar="DIR")
     json: bool = setting(False, "print figures as JSON")
+    workers: WorkOptions = field(default_factory=WorkOptions)
+    baking: BakingOptions = field(default_factory=BakingOptions)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    told = list(sys.argv[1:] if argv is None else argv)
-    for place, word in enumerate(told):
-        if word == "--plan" and (place + 1 == len(told) or told[place + 1].startswith("-")):
-            told[place] = f"--plan={PRINTED}"
-    return run_program("airgs-encode", encode, told)
-
-
-@takes(Encode)
 def encode(options: Encode) -> int:
     """Encode Gaussian frames as H.264 pictures and a DASH manifest; multi-view video is trained first."""
-    settings = _settings(options)
+    settings, plan = _settings(options), _plan(options)
+    _goal(options, 1)  # refuses impossible goals before any work
     expect_report(options.report)
-    target = options.output or _default_target(options.scene)
+    place = options.scene.rstrip("/") if is_address(options.scene) else Path(options.scene).resolve()
+    target = options.output or f"{place}{ENDING}"
     expect_folder_name(target, ENDING)
-    plan = _plan(options)
     if options.follow:
         return _follow(options, settings, plan, target)
+    quiet = options.json or options.plan is True
     sequence = _open(options)
-    quiet = options.json or options.plan == PRINTED
-    if sequence.clip and not quiet:
-        say(f"clip: {options.scene}: {sequence.clip.note}")
-    goal = _goal(options, sequence)
     cameras = sequence.name_of(sequence.cameras_path) if sequence.cameras_path else None
-    if cameras and not quiet:
-        held_out = sum(camera.held_out for camera in sequence.cameras)
-        say(f"cameras: {cameras}, {len(sequence.cameras)} of them, {held_out} held out")
-    for note in sequence.notes:
-        warn(note)
     sound = encode_sound(options.audio, len(sequence) / sequence.fps) if options.audio else None
-    if sound and sound.note and not quiet:
-        say(f"sound: {options.audio}: {sound.note}")
+    _say_what_was_found(options, sequence, sound.note if sound else None, quiet)
     sequence = replace(sequence, credit=options.attribution or sequence.attribution, sound_track=sound)
-    frames = min(settings.group_frames, len(sequence))
-    waiting = 2 * options.jobs * frames * max(header.bytes for header in sequence.headers)  # deltas of groups
-    if (free := shutil.disk_usage(tempfile.gettempdir()).free) < waiting:
-        raise ConfigError(f"{tempfile.gettempdir()}: expected {waiting / 1e9:.1f} GB of room, got {free / 1e9:.1f} GB")
-    if options.track and settings.rows != AUTO:
-        raise ConfigError(f"--rows: expected {AUTO} with --track, which leaves rows in order, got {settings.rows}")
-    sequence = hold_frames(sequence)
+    sequence, goal = hold_frames(sequence), _goal(options, float(sequence.fps))
     wanted = False if options.track is None and options.preset == "quick" else options.track
-    track, line = will_track(sequence, wanted, settings.rows)
-    if line:
-        warn(line)
-    folder = cpu_kernels.blend.stats.cache_path  # None where numba cannot write one
-    if folder and not any(Path(folder).glob("cpu_kernels.blend-*.nbi")):
-        warn("compiling kernels, once (about half a minute)")
+    track, words = will_track(sequence, wanted, settings.rows)
+    if words:
+        warn(words)
     with ExitStack() as stack:
         bar = stack.enter_context(Bar(options.json))
-        work = stack.enter_context(options.opened(bar))
+        work = stack.enter_context(options.workers.opened(bar))
+        stored = options.workers.work
         if track:
-            models = Path(options.work) if options.work and not is_address(options.work) else None
+            models = Path(stored) if stored and not is_address(stored) else None
             sequence = stack.enter_context(tracked(sequence, open_renderer(options.device), work, models))
-        if options.plan == PRINTED:
+        if options.plan is True:
             chosen = make_plan(sequence, settings, goal=goal, progress=bar)
             bar.close()
             say(chosen.to_json())
             return 0
         done = publish(
-            sequence, target, settings, goal=goal, plan=plan, executor=work.executor, work=options.work, progress=bar
+            sequence, target, settings, goal=goal, plan=plan, executor=work.executor, work=stored, progress=bar
         )
         if options.report:
             write_report(options.report, sequence, open_package(target), done, bar)
-    for line in done.manifest.decisions:
-        if line.startswith(GUESS):
-            warn(line)
+    for decision in done.manifest.decisions:
+        if decision.startswith(GUESS):
+            warn(decision)
     say(json.dumps(_as_json(done, target) | {"cameras": cameras}) if options.json else _as_words(done, target))
     return 0
 
 
 def _settings(options: Encode) -> EncodeSettings:
-    """Raises ConfigError for options that cannot work."""
-    told = options.settings
-    expect_one(
-        quality=told.get("quality"),
-        target_psnr=options.target_psnr,
-        target_de=options.target_de,
-        target_kb=options.target_kb,
-        target_mbps=options.target_mbps,
-    )
-    expect_one(margin=told.get("margin"), region=told.get("region"))
-    threads = max(1, DEFAULT_SETTINGS.threads // max(1, options.jobs))
+    threads, chosen = max(1, DEFAULT_SETTINGS.threads // options.workers.jobs), options.settings
+    if options.track and chosen.get("rows", AUTO) != AUTO:
+        raise ConfigError(f"--rows: expected {AUTO} with --track, which leaves rows in order, got {chosen['rows']}")
     settings = replace(DEFAULT_SETTINGS, threads=threads, device=options.device, world=_world(options))
-    settings = PRESETS[options.preset](settings)
-    if settings.calibrate == "ladder" and {"levels", "tiers"} & told.keys():  # which trial encodes would replace
-        told = {"calibrate": "steps"} | told
-    return replace(settings, **told)
+    settings = BY_PRESET[options.preset](settings)
+    if settings.calibrate == "ladder" and {"levels", "tiers"} & chosen.keys():  # which trial encodes would replace
+        chosen = {"calibrate": "steps"} | chosen
+    return replace(settings, **chosen)
 
 
 def _world(options: Encode) -> World | None:
-    """Returns where the scene stands, for players, as far as the options say. Raises ConfigError."""
-    if options.transform:
-        if options.up or options.unit is not None:
-            raise ConfigError("--transform: expected neither --up nor --unit with it: it says both")
-        return read_world(options.transform)
-    if options.up:
-        return world_from(options.up, options.unit)
-    if options.unit is not None:
+    up, unit = options.up, options.unit
+    if options.transform and (up or unit is not None):
+        raise ConfigError("--transform: expected neither --up nor --unit with it: it says both")
+    if unit is not None and not up:
         raise ConfigError("--unit: expected --up with it")
-    return None
-
-
-def _default_target(scene: str) -> str:
-    place = scene.rstrip("/") if is_address(scene) else Path(scene).resolve()  # "." has no name of its own
-    return f"{place}{ENDING}"
-
-
-def _open(options: Encode) -> GaussianSequence:
-    """The sequence that is encoded, trained where pictures were given."""
-    folder = Path(options.scene)
-    if is_address(options.scene) or not is_multiview(folder):
-        baking = options.baking()
-        return open_frames(options.scene, quiet=options.json, views=options.views, fps=options.fps, **baking)
-    if options.track:
-        raise ConfigError(f"{options.scene}: expected frames for --track, got multi-view pictures, trained as one")
-    if any(options.baking().values()):
-        raise ConfigError(f"{options.scene}: expected a clip for --bake-fps or --duration, got multi-view pictures")
-    trained = train_by_default(folder, options.fps, options.device, quiet=options.json)
-    return replace(open_sequence(trained, views=options.views, fps=options.fps), credit=read_attribution(folder))
+    return read_world(options.transform) if options.transform else world_from(up, unit) if up else None
 
 
 def _plan(options: Encode) -> Plan | None:
-    """The plan that a file has, where one was given. Raises ConfigError, OSError for what cannot be read."""
-    if options.plan == PRINTED and options.follow:
-        raise ConfigError("--plan: expected a file with --follow, which prints no plan")
-    if options.plan in (None, PRINTED):
+    if not isinstance(options.plan, str):
         return None
     expect_plain(Path(options.plan))
     return Plan.from_json(Path(options.plan).read_bytes(), options.plan)
 
 
+def _open(options: Encode) -> GaussianSequence:
+    folder = Path(options.scene)
+    how: Given = {"views": options.views, "fps": options.fps}
+    if is_address(options.scene) or not is_multiview(folder):
+        return open_frames(options.scene, quiet=options.json, **how, **vars(options.baking))
+    if options.track or any(vars(options.baking).values()):
+        raise ConfigError(f"{options.scene}: expected frames for --track, --bake-fps and --duration, got pictures")
+    model = train_model(Train(scene=folder, fps=options.fps, device=options.device, resume=True), options.json)
+    return replace(open_sequence(model.folder, **how), credit=read_attribution(folder))
+
+
+def _say_what_was_found(options: Encode, sequence: GaussianSequence, sound: str | None, quiet: bool) -> None:
+    seen = sequence.cameras
+    found = [f"clip: {options.scene}: {sequence.clip.note}"] if sequence.clip else []
+    if sequence.cameras_path:
+        held_out = sum(camera.held_out for camera in seen)
+        found += [f"cameras: {sequence.name_of(sequence.cameras_path)}, {len(seen)} of them, {held_out} held out"]
+    found += [f"sound: {options.audio}: {sound}"] if sound else []
+    for line in found if not quiet else ():
+        say(line)
+    for note in sequence.notes:
+        warn(note)
+
+
+def _goal(options: Encode, fps: float) -> Goal | None:
+    rate = options.target_mbps
+    goals = {
+        "--target-psnr": (PSNR, options.target_psnr),
+        "--target-de": (DELTA_E, options.target_de),
+        "--target-mbps": (SIZE, None if rate is None else 1e3 / 8 * rate / fps),
+    }
+    asked = [Goal(metric, value) for metric, value in goals.values() if value is not None]
+    if len(asked) + ("quality" in options.settings) > 1:
+        raise ConfigError(f"expected one of --quality, {', '.join(goals)}")
+    return asked[0] if asked else None
+
+
 def _follow(options: Encode, settings: EncodeSettings, plan: Plan | None, target: str) -> int:
-    whole = ("target_psnr", "target_de", "target_kb", "target_mbps", "audio", "report")
-    asked = {name: getattr(options, name) for name in whole} | options.baking()
-    told = [f"--{option_name(name)}" for name, value in asked.items() if value is not None]
-    if option := next(iter(told), options.shared_by()):
+    whole = ("target_psnr", "target_de", "target_mbps", "audio", "report", "track")
+    asked = {name: getattr(options, name) for name in whole} | vars(options.baking)
+    asked["plan"] = options.plan is True
+    given = [f"--{name.replace('_', '-')}" for name, value in asked.items() if value]
+    if option := next(iter(given), options.workers.shared_by()):
         raise ConfigError(f"{option}: expected a sequence that is whole, got --follow, whose groups come one by one")
-    if options.track:
-        raise ConfigError("--track: expected a sequence that is whole, got --follow, whose groups come one by one")
     if is_address(options.scene):
         raise ConfigError(f"--follow: expected a folder of this machine, got {options.scene}")
-    folder = GrowingFolder(options.scene, views=options.views, fps=options.fps)
-    more = frames_may_come(options.idle)
+    folder, number = GrowingFolder(options.scene, views=options.views, fps=options.fps), 0
+    more, credit = frames_may_come(options.idle), options.attribution
     with Bar(options.json) as bar:
-        groups = follow(folder, target, settings, plan=plan, more=more, attribution=options.attribution, progress=bar)
-        report_groups(groups, target, options.json)
+        for done in follow(folder, target, settings, plan=plan, more=more, attribution=credit, progress=bar):
+            number, stop = done.number, done.group.stop
+            say(_group_line(done, options.json))
+    if number and not options.json:
+        say(f"{target}: {stop} frames in {number} groups, closed")
     return 0
 
 
-def _goal(options: Encode, sequence: GaussianSequence) -> Goal | None:
-    if options.target_psnr is not None:
-        return Goal(PSNR, options.target_psnr)
-    if options.target_de is not None:
-        return Goal(DELTA_E, options.target_de)
-    if options.target_kb is not None:
-        return Goal(SIZE, options.target_kb)
-    if options.target_mbps is not None:
-        return Goal(SIZE, 1e3 / 8 * options.target_mbps / float(sequence.fps))
-    return None
+def frames_may_come(idle_s: float) -> Callable[[int], bool]:
+    """Return a function of the number of frames so far that tells whether more may come.
+
+    Where standard input is a pipe, as behind `airgs-train ... |`, until it ends; its lines are passed on to standard
+    error. Else until there is no new frame for `idle_s` seconds.
+    """
+    if stat.S_ISFIFO(os.fstat(sys.stdin.fileno()).st_mode):
+        reader = threading.Thread(target=lambda: [*map(partial(warn, end=""), sys.stdin)], daemon=True)
+        reader.start()
+        return lambda frames: reader.is_alive()
+    seen, since = -1, time.monotonic()
+
+    def more(frames: int) -> bool:
+        nonlocal seen, since
+        if frames != seen:
+            seen, since = frames, time.monotonic()
+        return time.monotonic() - since < idle_s
+
+    return more
+
+
+def _group_line(done: PublishedGroup, as_json: bool) -> str:
+    group, (first, last) = done.group, done.waited_s
+    size = sum(tier.sidecar.bytes + tier.pictures[0].bytes for tier in group.tiers)
+    size += sum(segment.levels[0].file.bytes for segment in group.segments)
+    if as_json:
+        figures = {"group": done.number, "frames": [group.start, group.stop], "bytes": size, "gaussians": group.count}
+        figures |= {"base": group.base, "since_first_frame": round(first, 2), "since_last_frame": round(last, 2)}
+        return json.dumps(figures | {"rows": done.notes})
+    quality = [level.psnr[0] for segment in group.segments for level in segment.levels[:1] if level.psnr]
+    shown = f", {min(quality):.1f} dB at least" if quality else ""
+    shown += f", keyframe by its difference to group {group.base}" if group.base else ""
+    size_words = f"{size / (group.stop - group.start) / 1e3:.1f} kB/frame on the top rung"
+    words = f"group {done.number}: frames {group.start}-{group.stop - 1}, {size_words}{shown}"
+    return "\n".join([*done.notes, f"{words}, published {last:.1f} s after its last frame"])
 
 
 def _as_json(report: EncodeReport, target: str) -> dict[str, object]:
@@ -297,21 +280,20 @@ def _as_json(report: EncodeReport, target: str) -> dict[str, object]:
         "top_rung_bytes": m.bytes_of(m.rung_files(0, 0)) + report.manifest_bytes,
         "seconds": {stage.about: round(stage.seconds, 3) for stage in report.stages()},
         "rows": {"matched": rows.matched, "sure": rows.sure, "unmatched": rows.unmatched, "alone": rows.alone},
-        "repairs": [line for group in m.groups for line in group.repairs],
+        "repairs": [repair for group in m.groups for repair in group.repairs],
     }
 
 
 def _as_words(report: EncodeReport, target: str) -> str:
-    m = report.manifest
-    stages = report.stages()
+    m, stages = report.manifest, report.stages()
     parts = ", ".join(f"{stage.about} {stage.seconds:.1f}" for stage in stages if stage.seconds >= 0.05)
-    package_bytes = m.media_bytes() + report.manifest_bytes
-    size = f"{m.frames} frames, {float(m.frames / m.fps):.2f} s, {package_bytes / 1e6:.2f} MB with all rungs"
-    return "\n".join(
-        [
-            format_ladder(m, report.manifest_bytes),
-            "",
-            f"{target}: {size}; {sum(stage.seconds for stage in stages):.0f} s ({parts})",
-            f"play it: airgs-serve {target}; all tables: airgs-manifest inspect {target}",
-        ]
+    megabytes = (m.media_bytes() + report.manifest_bytes) / 1e6
+    size = f"{m.frames} frames, {float(m.frames / m.fps):.2f} s, {megabytes:.2f} MB with all rungs"
+    return (
+        f"{format_ladder(m, report.manifest_bytes)}\n\n"
+        f"{target}: {size}; {sum(stage.seconds for stage in stages):.0f} s ({parts})\n"
+        f"play it: airgs-serve {target}; all tables: airgs-manifest inspect {target}"
     )
+
+
+main = partial(run_program, "airgs-encode", encode)

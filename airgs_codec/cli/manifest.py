@@ -6,8 +6,8 @@ What a subcommand needs is imported when it runs, so that looking into a package
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from airgs_codec._report import require_matplotlib
@@ -15,14 +15,14 @@ from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import (
     AXIS,
     PACKAGE,
-    App,
     BakingOptions,
     Given,
+    as_options,
     expect_folder,
     make_app,
     open_frames,
+    read_three,
     run_program,
-    takes,
 )
 from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.errors import ConfigError
@@ -30,14 +30,14 @@ from airgs_codec.package.package import open_package
 from airgs_codec.package.region import world_words
 
 
-@dataclass(frozen=True, slots=True)
+@as_options
+@dataclass(frozen=True, kw_only=True)
 class Inspect:
     package: str = required(PACKAGE)
     plot: Path | None = setting(None, "write a PNG of the ladder and of bytes over time", metavar="FILE")
     json: bool = setting(False, "the same as JSON")
 
 
-@takes(Inspect)
 def inspect(options: Inspect) -> int:
     """Show groups, tiers, levels, rungs, bytes and what was left out."""
     from airgs_codec.inspect.summary import format_summary, plot_ladder, summarise
@@ -49,32 +49,30 @@ def inspect(options: Inspect) -> int:
     tables = package.manifest, package.manifest_bytes
     if options.plot:
         plot_ladder(*tables, options.plot)
-    if options.json:
-        say(json.dumps(summarise(*tables)))
-        return 0
-    say(format_summary(*tables))
-    if options.plot:
-        say(f"picture: {options.plot}")
+    picture = f"\npicture: {options.plot}" if options.plot else ""
+    say(json.dumps(summarise(*tables)) if options.json else format_summary(*tables) + picture)
     return 0
 
 
+@as_options
 @dataclass(frozen=True, kw_only=True)
-class Validate(BakingOptions):
+class Validate:
     package: str = required(PACKAGE)
     against: str | None = setting(None, "the original: measure the errors again", metavar="SEQUENCE")
     json: bool = setting(False, "findings as JSON")
+    baking: BakingOptions = field(default_factory=BakingOptions)
 
 
-@takes(Validate)
 def validate(options: Validate) -> int:
     """Check every rule of the format: status 0, or 1 with one line a finding."""
     from airgs_codec.inspect import validate as check
     from airgs_codec.inspect.errors import format_errors, measure_errors
 
-    against = open_frames(options.against, quiet=options.json, **options.baking()) if options.against else None
+    against, baking = options.against, vars(options.baking)
+    original = open_frames(against, quiet=options.json, **baking) if against else None
     findings, measured = check.validate(options.package), []
-    if not findings and against is not None:
-        measured = list(measure_errors(open_package(options.package), against))
+    if not findings and original is not None:
+        measured = list(measure_errors(open_package(options.package), original))
         findings = check.exceeded(measured)
     if options.json:
         say(json.dumps([{"reason": f.reason, "where": f.where, "detail": f.detail} for f in findings]))
@@ -82,35 +80,26 @@ def validate(options: Validate) -> int:
         say("\n".join(str(f) for f in findings))
     else:
         m = open_package(options.package).manifest
-        count = 2 + sum(1 for _ in m.files())
-        say(f"valid: {m.frames} frames, {len(m.groups)} groups, {len(m.segments)} segments, {count} files")
+        counts = f"{len(m.groups)} groups, {len(m.segments)} segments, {2 + sum(1 for _ in m.files())} files"
+        say(f"valid: {m.frames} frames, {counts}")
         if measured:
             say(format_errors(measured))
     return 1 if findings else 0
 
 
-def read_point(text: str) -> tuple[float, ...]:
-    """Returns the numbers of X,Y,Z. Raises ConfigError."""
-    try:
-        x, y, z = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise ConfigError(f"expected X,Y,Z, got {text!r}") from error
-    return x, y, z
+POINT: Given = {"read": read_three(float, "X,Y,Z"), "metavar": "X,Y,Z", "allow_leading_hyphen": True}
 
 
-POINT: Given = {"read": read_point, "metavar": "X,Y,Z", "allow_leading_hyphen": True}
-
-
-@dataclass(frozen=True, slots=True)
+@as_options
+@dataclass(frozen=True, kw_only=True)
 class SetView:
     package: str = required(PACKAGE)
     up: tuple[float, ...] | None = setting(None, "direction that points up, x, -y, … or X,Y,Z", **AXIS)
     position: tuple[float, ...] | None = setting(None, "where viewers begin, with --look-at", **POINT)
     look_at: tuple[float, ...] | None = setting(None, "the point that they look at", **POINT)
-    name: str | None = setting(None, "viewers find that view by this name; they do not begin there")
+    name: str | None = setting(None, "add the view under this name, instead of beginning there")
 
 
-@takes(SetView)
 def set_view(options: SetView) -> int:
     """Change where viewers begin, which way is up, and named views, without encoding again."""
     from airgs_codec.package.publish import set_view as change
@@ -126,15 +115,15 @@ def set_view(options: SetView) -> int:
     return 0
 
 
-@dataclass(frozen=True, slots=True)
+@as_options
+@dataclass(frozen=True, kw_only=True)
 class ExportPage:
-    packages: tuple[str, ...] = required(PACKAGE, metavar="PACKAGE")
+    packages: tuple[str, ...] = required(PACKAGE)
     output: Path = required("folder to write: new, empty, or one that this command wrote", alias="-o")
     title: str | None = setting(None, "title of the page", default="the package's name")
     address: str = setting("", "where the folder will be on the web: previews of links need it", metavar="URL")
 
 
-@takes(ExportPage)
 def export_page(options: ExportPage) -> int:
     """Write a folder for any static host, with the player and packages."""
     from airgs_codec.serve.export import export_page as export
@@ -146,18 +135,10 @@ def export_page(options: ExportPage) -> int:
     return 0
 
 
-def make_manifest() -> App:
-    about = "Look into a package, check it, compare it with the original, put it on a page."
-    app = make_app("airgs-manifest", about=about)
-    commands = {"inspect": inspect, "validate": validate, "set-view": set_view, "export-page": export_page}
-    for name, command in commands.items():
-        app.command(command, name=name)
-    words = "Compare two scenes or packages: PSNR, SSIM, CIEDE2000, bytes, pictures."
-    app.command("airgs_codec.cli.compare:compare", name="compare", help=words)
-    words = "Measure PSNR, SSIM and CIEDE2000 of every rung against the original."
-    app.command("airgs_codec.cli.compare:rungs", name="rungs", help=words)
-    return app
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    return run_program("airgs-manifest", make_manifest(), argv)
+app = make_app("airgs-manifest", about="Look into a package, check it, compare it with the original, put it on a page.")
+for command in (inspect, validate, set_view, export_page):
+    app.command(command)
+COMPARE = "airgs_codec.cli.compare"  # loads the renderer: imported when it runs
+app.command(f"{COMPARE}:compare", help="Compare two scenes or packages: PSNR, SSIM, CIEDE2000, bytes, pictures.")
+app.command(f"{COMPARE}:rungs", help="Measure PSNR, SSIM and CIEDE2000 of every rung against the original.")
+main = partial(run_program, "airgs-manifest", app)

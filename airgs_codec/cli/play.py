@@ -2,36 +2,35 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import itertools
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from airgs_codec._report import listed
 from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import (
     CUDA,
-    DEVICES,
+    DEVICE,
     PACKAGE,
     BakingOptions,
     Given,
+    as_options,
     expect_folder,
     expect_report,
     given,
     open_frames,
     run_program,
-    takes,
 )
 from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.package import Package, find_faults, open_package
+from airgs_codec.package.package import find_faults, open_package
 from airgs_codec.package.region import region_figures
 from airgs_codec.places.whole import to_json
 from airgs_codec.play.film import film
 from airgs_codec.play.http import HttpDownloader, HttpSettings
-from airgs_codec.play.offers import Offers
 from airgs_codec.play.playout import SessionSettings
-from airgs_codec.play.policies import DEFAULT_POLICY, POLICY_NAMES, make_policy
+from airgs_codec.play.policies import DEFAULT_POLICY, POLICY_NAMES
 from airgs_codec.play.report import format_metrics, write_report
 from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.session import play as play_over
@@ -44,9 +43,10 @@ COMPARED = ("robust-mpc", *PAPER, "throughput", "bola", "oracle-frame")
 TRACES = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBPS or markov:SEED[:MBPS]"
 
 
+@as_options
 @dataclass(frozen=True, kw_only=True)
-class Play(BakingOptions):
-    package: str = required(f"{PACKAGE}, or where a web server has it", metavar="PACKAGE|URL")
+class Play:
+    package: str = required(f"{PACKAGE}, or where a web server has it")
     trace: str | None = setting(None, f"rates of the link: {TRACES}")
     policy: str = setting(
         DEFAULT_POLICY, f"what chooses rungs; {', '.join(POLICY_NAMES)}, fixed:J (level J) or fixed:RUNG"
@@ -64,27 +64,24 @@ class Play(BakingOptions):
     seed: int = setting(1, "seed of the starts", topic="study")
     jobs: int = setting(1, "processes that share the sessions of --compare")
     original: str | None = setting(None, "shown beside the screen in --video", metavar="SEQUENCE")
-    device: str = setting("auto", f"where pictures are drawn{CUDA}", choices=DEVICES, topic="output")
+    device: str = setting("auto", f"where pictures are drawn{CUDA}", topic="output", **DEVICE)
     report: Path | None = setting(None, "folder for a page", metavar="DIR")
     video: Path | None = setting(None, "film what was on the screen, as MP4", metavar="FILE")
     json: bool = setting(False, "print figures as JSON")
+    baking: BakingOptions = field(default_factory=BakingOptions)
+
+    @property
+    def rtt_s(self) -> float | None:
+        return None if self.rtt is None else self.rtt / 1e3
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    return run_program("airgs-play", play, argv)
-
-
-@takes(Play)
 def play(options: Play) -> int:
     """Simulate a viewer of a package over a bandwidth trace, compare policies over many, or play from a web server."""
     expect_report(options.report)
     if options.video:
-        folder = options.video.absolute().parent
         if options.video.suffix.lower() != ".mp4":
             raise ConfigError(f"{options.video}: expected a name that ends in .mp4")
-        if not folder.is_dir():
-            raise ConfigError(f"{options.video}: expected a folder that can be written, got none")
-        expect_folder(folder)
+        expect_folder(options.video.absolute().parent)
     rules = SessionSettings(**options.player)
     if options.package.startswith(("http://", "https://")):
         return _over_http(options, rules)
@@ -92,19 +89,13 @@ def play(options: Play) -> int:
         raise ConfigError(f"--http.as-fast: expected a URL, got {options.package}; a simulated session takes no time")
     package = open_package(options.package)
     if options.compare:
-        return _compare(package, options, rules)
+        return _compare(options, rules)
     if not options.trace:
         raise ConfigError("expected --trace, or --compare with --traces")
-    if options.rtt is not None and not (math.isfinite(options.rtt) and options.rtt >= 0):
-        raise ConfigError(f"--rtt: expected a round trip of 0 ms or more, got {options.rtt:g}")
     trace = replace(Trace.open(options.trace).cut(options.offset, options.scale), end=options.end)
-    log = simulate(package, Link.over(trace, _rtt_s(options)), options.policy, rules, find_faults(package))
+    log = simulate(package, Link.over(trace, options.rtt_s), options.policy, rules, find_faults(package))
     _present(log, options)
     return 0
-
-
-def _rtt_s(options: Play) -> float | None:
-    return None if options.rtt is None else options.rtt / 1e3
 
 
 def _over_http(options: Play, rules: SessionSettings) -> int:
@@ -118,61 +109,51 @@ def _over_http(options: Play, rules: SessionSettings) -> int:
 
 
 def _present(log: SessionLog, options: Play) -> None:
-    """Make the pictures and print the figures that were asked for."""
-    original = open_frames(options.original, quiet=options.json, **options.baking()) if options.original else None
+    original, baking = options.original, vars(options.baking)
+    sequence = open_frames(original, quiet=options.json, **baking) if original else None
     if options.report:
         write_report(log, options.report)
     if options.video:
         if all(shown.rung is None for shown in log.shown):
             raise ConfigError(f"{options.package}: nothing can be shown: {listed(log.lost)}")
+        options.video.parent.mkdir(parents=True, exist_ok=True)
         with Bar(options.json) as bar:
-            film(open_package(options.package), log, options.video, original, bar, open_renderer(options.device))
-    said = {
-        "policy": log.policy,
-        "lost": log.lost,
-        "retried": log.retried,
-        "region": region_figures(log.offers.manifest.region),
-    }
-    record = log.metrics.as_dict() | said
+            film(open_package(options.package), log, options.video, sequence, bar, open_renderer(options.device))
     if options.json:
-        say(to_json(record))
+        more = {
+            "policy": log.policy,
+            "lost": log.lost,
+            "retried": log.retried,
+            "region": region_figures(log.offers.manifest.region),
+        }
+        say(to_json(log.metrics.as_dict() | more))
         return
     say(format_metrics(log))
-    if options.report:
-        say(f"{'report':<22}{options.report / 'index.html'}")
-    if options.video:
-        say(f"{'film':<22}{options.video}")
+    for name, path in (("report", options.report and options.report / "index.html"), ("film", options.video)):
+        if path:
+            say(f"{name:<22}{path}")
 
 
-def _compare(package: Package, options: Play, rules: SessionSettings) -> int:
+def _compare(options: Play, rules: SessionSettings) -> int:
     single = {"player.budget": rules.budget, "report": options.report, "video": options.video}
-    for name, value in single.items():
-        if value is not None:
-            raise ConfigError(f"--{name}: expected a single session, got --compare")
-    if not options.traces:
-        raise ConfigError("--compare: expected --traces with folders of traces, or traces")
-    traces: list[str] = []
-    for text in options.traces:
-        folder = Path(text)
-        found = sorted(str(p) for p in folder.iterdir() if p.is_file()) if folder.is_dir() else [text]
-        if not found:
-            raise ConfigError(f"{folder}: expected a folder with traces, got an empty one")
-        traces += found
-    policies = tuple(name for name in options.policies.split(",") if name)
-    for name in policies:
-        make_policy(name, Offers(package.manifest), Link(Trace.open("const:1")))
+    if given := [name for name, value in single.items() if value is not None]:
+        raise ConfigError(f"--{given[0]}: expected a single session, got --compare")
+    folders = [
+        sorted(map(str, filter(Path.is_file, Path(place).iterdir()))) if Path(place).is_dir() else [place]
+        for place in options.traces
+    ]
+    if not folders or not all(folders):
+        raise ConfigError("--compare: expected --traces with traces, or folders that are not empty")
     settings = StudySettings(
-        policies,
-        tuple(traces),
-        offsets=options.offsets,
-        scale=options.scale,
-        end=options.end,
-        rtt_s=_rtt_s(options),
-        seed=options.seed,
+        tuple(filter(None, options.policies.split(","))),
+        tuple(itertools.chain(*folders)),
         session=rules,
-        jobs=options.jobs,
+        **{name: getattr(options, name) for name in ("offsets", "scale", "end", "rtt_s", "seed", "jobs")},
     )
     with Bar(options.json) as bar:
         study = run_study(options.package, settings, bar)
     say(to_json(study_record(study)) if options.json else format_study(study))
     return 0
+
+
+main = partial(run_program, "airgs-play", play)

@@ -6,26 +6,27 @@ import asyncio
 import resource
 import signal
 import socket
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from urllib.parse import quote
 
 from airgs_codec._settings import required, setting
-from airgs_codec.cli.options import run_program, takes
+from airgs_codec.cli.options import as_options, run_program
 from airgs_codec.cli.terminal import say
 from airgs_codec.errors import ConfigError
 from airgs_codec.serve.app import Packages, check_certificate, listen, make_app
 from airgs_codec.serve.app import serve as serve_app
 from airgs_codec.serve.pages import NOT_BUILT, is_built, player_address
 
-PACKAGES = "folder with airgs.json, or a folder that holds such folders: new ones are served, too, as they appear"
+SERVED = "folder with airgs.json, or a folder that holds such folders: new ones are served, too, as they appear"
 ANY_HOST = ("0.0.0.0", "::")
 
 
-@dataclass(frozen=True, slots=True)
+@as_options
+@dataclass(frozen=True, kw_only=True)
 class Serve:
-    packages: tuple[Path, ...] = required(PACKAGES, metavar="PACKAGE")
+    packages: tuple[Path, ...] = required(SERVED)
     host: str = setting("127.0.0.1", "address to listen at; 0.0.0.0: all")
     port: int = setting(8000, "port to listen at, 0: any free one")
     certificate: Path | None = setting(
@@ -34,11 +35,6 @@ class Serve:
     key: Path | None = setting(None, "key of the certificate", metavar="PEM")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    return run_program("airgs-serve", serve, argv)
-
-
-@takes(Serve)
 def serve(options: Serve) -> int:
     """Serve packages over HTTP, each below its name."""
     packages = Packages(list(options.packages))
@@ -67,7 +63,6 @@ async def _serve_until_signal(
 
 
 def _greeting(packages: Packages, listening: socket.socket, scheme: str) -> str:
-    """Where the server and the packages are, then what to open in a browser."""
     host, port = listening.getsockname()[:2]
     names = sorted(packages.now())
     address = _address(scheme, host, port)
@@ -80,3 +75,6 @@ def _greeting(packages: Packages, listening: socket.socket, scheme: str) -> str:
 
 def _address(scheme: str, host: str, port: int) -> str:
     return f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"
+
+
+main = partial(run_program, "airgs-serve", serve)

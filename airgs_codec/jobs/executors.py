@@ -22,57 +22,51 @@ from airgs_codec._settings import available_cores
 from airgs_codec.errors import WorkError
 from airgs_codec.render.cpu import use_threads
 
-DEATHS = 3  # of workers that a call may see before it is given up
-LEAVE_S = 5.0  # for a process to remove what it has begun
-RETRIES = 2  # of a call whose machine fails: its disk, its network
+DEATHS = 3  # of workers during a call, after which it fails
+LEAVE_S = 5.0  # for a process to remove unfinished files
+RETRIES = 2  # of a call whose disk or network fails
 CONNECT_S = 5  # to a Dask scheduler
-WORKER_S = 60  # for a worker that has what calls need, to come
+WORKER_S = 60  # for a worker with the resources of a call to start
 
 
 class Processes(Executor):
-    """So many processes of this machine, which share its cores; what one that dies was doing is done again."""
+    """Processes of this machine, which share its cores; calls of one that dies are made again in another."""
 
     def __init__(self, count: int) -> None:
         self._count, self._threads = count, max(1, available_cores() // count)
         self._lock, self._pool = threading.Lock(), self._begin()
 
     def _begin(self) -> ProcessPoolExecutor:
-        context, given = multiprocessing.get_context("spawn"), (os.getpid(), self._threads)
-        return ProcessPoolExecutor(self._count, context, initializer=prepare_worker, initargs=given)
+        given = os.getpid(), self._threads
+        return ProcessPoolExecutor(self._count, multiprocessing.get_context("spawn"), prepare_worker, given)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Its future raises WorkError where DEATHS processes died of it or beside it."""
+        """Return a future, which raises WorkError where DEATHS processes died during the call."""
         shown: Future[Any] = Future()
         self._send(shown, partial(fn, *args, **kwargs), DEATHS)
         return shown
 
     def _send(self, shown: Future[Any], call: Callable[[], Any], lives: int) -> None:
         with self._lock:
-            pool = self._pool
             try:
-                done = pool.submit(call)
+                done = self._pool.submit(call)
             except BrokenProcessPool:
-                pool = self._pool = self._begin()
-                done = pool.submit(call)
-        done.add_done_callback(partial(self._finish, shown, call, lives, pool))
+                self._pool = self._begin()
+                done = self._pool.submit(call)
+        done.add_done_callback(partial(self._finish, shown, call, lives))
 
-    def _finish(
-        self, shown: Future[Any], call: Callable[[], Any], lives: int, pool: ProcessPoolExecutor, done: Future[Any]
-    ) -> None:
+    def _finish(self, shown: Future[Any], call: Callable[[], Any], lives: int, done: Future[Any]) -> None:
         if done.cancelled() or shown.cancelled():
             shown.cancel()
         elif not isinstance(error := done.exception(), BrokenProcessPool):
             shown.set_result(done.result()) if error is None else shown.set_exception(error)
         elif lives > 1:
-            with self._lock:
-                self._pool = self._begin() if self._pool is pool else self._pool
             self._send(shown, call, lives - 1)
         else:
-            words = f"{DEATHS} workers died in a row: is there memory for {self._count}?"
-            shown.set_exception(WorkError(words))
+            shown.set_exception(WorkError(f"{DEATHS} workers died in a row: is there memory for {self._count}?"))
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the processes, whatever they are doing, unless it is waited for."""
+        """End the processes, whatever they are doing, unless `wait`."""
         processes = list((self._pool._processes or {}).values())
         self._pool.shutdown(wait=wait and not cancel_futures, cancel_futures=cancel_futures)
         for process in processes:
@@ -83,7 +77,7 @@ class Processes(Executor):
 
 
 def prepare_worker(parent: int, threads: int) -> None:
-    """Called first in a new process: so many threads for kernels; it ends when it is told to or its parent has ended.
+    """Set the threads of kernels in a new process, and end it with its parent or by SIGTERM.
 
     numba has been imported by then, as `spawn` runs the main module of the parent again.
     """
@@ -101,13 +95,13 @@ def prepare_worker(parent: int, threads: int) -> None:
 
 
 class DaskCluster(Executor):
-    """The workers of a Dask cluster: of the one at an address, or of one of so many processes of this machine.
+    """The workers of the Dask cluster at an address, or of one of `count` processes of this machine.
 
-    `needs`: resources that the worker of a call must have, as {"GPU": 1}, of a cluster that others run.
+    `needs`: resources that the worker of a call must have, as {"GPU": 1}, of a cluster at an address. Raises WorkError
+    where nobody answers there, or no worker has what calls need.
     """
 
     def __init__(self, address: str = "", count: int = 1, needs: dict[str, float] | None = None) -> None:
-        """Raises WorkError where nobody answers at the address, or no worker there has what calls need."""
         import dask
         from dask.distributed import Client, LocalCluster
 
@@ -127,7 +121,7 @@ class DaskCluster(Executor):
         self._inner = self._client.get_executor(pure=False, retries=RETRIES, resources=resources)
 
     def _expect(self, needs: dict[str, float]) -> None:
-        """Wait a while for a worker that has these resources: it may be starting still."""
+        """Wait at most WORKER_S for a worker that has these resources."""
         until = time.monotonic() + WORKER_S
         while needs:
             workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
@@ -141,13 +135,13 @@ class DaskCluster(Executor):
             time.sleep(0.2)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Its future raises WorkError where workers die of the call or the scheduler is gone."""
+        """Return a future, which raises WorkError where workers die of the call or the scheduler is gone."""
         shown: Future[Any] = Future()
         self._inner.submit(fn, *args, **kwargs).add_done_callback(partial(_relay, shown))
         return shown
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Leave the cluster; one that was made here ends."""
+        """Leave the cluster at an address; end another."""
         self._client.close()
         if self._cluster is not None:
             logging.getLogger("distributed.nanny").setLevel(logging.CRITICAL)  # it may have to end a slow process
@@ -155,16 +149,12 @@ class DaskCluster(Executor):
 
 
 def _relay(shown: Future[Any], done: Future[Any]) -> None:
-    """Show what became of a call of Dask's, in our words."""
-    gone = "the Dask scheduler does not answer any more; begin again to go on"
+    """Pass on what became of a call, errors of Dask as a WorkError."""
     if shown.cancelled():
         return
-    error = WorkError(gone) if done.cancelled() else done.exception()
-    if error is None:
-        shown.set_result(done.result())
+    error = None if done.cancelled() else done.exception()
+    if done.cancelled() or type(error).__name__ in ("FutureCancelledError", "CommClosedError"):
+        error = WorkError("the Dask scheduler does not answer any more; begin again to go on")
     elif type(error).__name__ == "KilledWorker":
-        shown.set_exception(WorkError(f"{DEATHS} workers died of one job: is there memory for it? ({error})"))
-    elif type(error).__name__ in ("FutureCancelledError", "CommClosedError"):
-        shown.set_exception(WorkError(gone))
-    else:
-        shown.set_exception(error)
+        error = WorkError(f"{DEATHS} workers died of one job: is there memory for it? ({error})")
+    shown.set_result(done.result()) if error is None else shown.set_exception(error)

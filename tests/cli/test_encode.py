@@ -104,7 +104,7 @@ ASKED = {
 }  # fmt: skip
 GOALS = {
     "--target-psnr 41": faces.Goal(faces.PSNR, 41.0), "--target-de 0.6": faces.Goal(faces.DELTA_E, 0.6),
-    "--target-kb 12": faces.Goal.size(12), "--target-mbps 3": faces.Goal.size(37.5),  # at 10 frames a second
+    "--target-mbps 3": faces.Goal.size(37.5),  # at 10 frames a second
 }  # fmt: skip
 
 

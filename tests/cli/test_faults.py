@@ -9,7 +9,6 @@ import stat
 import subprocess
 import sys
 from functools import partial
-from types import SimpleNamespace
 
 import pytest
 
@@ -102,9 +101,3 @@ def test_a_kill_in_the_middle_leaves_the_old_package(target, tmp_path, capsys):
         assert "got another run that is making this package" in capsys.readouterr().err
         assert len(list(tmp_path.glob(".out.airgs.airgs-*"))) == 1  # its folder stays, that of the killed run is gone
     assert not list(tmp_path.glob(".out.airgs.*"))
-
-
-def test_a_disk_without_room_is_said_before_the_work(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=1000))
-    assert faces.airgs_encode([str(FOX), "-o", str(tmp_path / "out.airgs")]) == 2
-    assert "GB of room" in capsys.readouterr().err and not list(tmp_path.iterdir())

@@ -76,14 +76,13 @@ def test_reading_and_exporting_are_as_from_the_folder(package, tmp_path, monkeyp
 def test_a_growing_package_is_readable_after_every_group(place, scene, monkeypatch):
     ticks, said, seen = itertools.count(), [], []
 
-    def say(text, end="\n"):
-        if end:
-            m = faces.open_package(place).manifest
-            said.append(text)
-            seen.append((m.live, len(m.groups), faces.validate(place)))
+    def say(text):
+        m = faces.open_package(place).manifest
+        said.append(text)
+        seen.append((m.live, len(m.groups), faces.validate(place)))
 
     monkeypatch.setattr("airgs_codec.cli.encode.frames_may_come", lambda idle: lambda frames: next(ticks) < 1)
-    monkeypatch.setattr("airgs_codec.cli.follow.say", say)
+    monkeypatch.setattr("airgs_codec.cli.encode.say", say)
     assert faces.airgs_encode([str(scene), "-o", place, *ENCODE, "--follow", "--group-frames", "1"]) == 0
     assert [line.partition(",")[0] for line in said[:3]] == [f"group {n}: frames {n - 1}-{n - 1}" for n in (1, 2, 3)]
     assert said[3:] == [f"{place}: 3 frames in 3 groups, closed"]

@@ -119,7 +119,7 @@ def test_one_frame_that_changes_is_the_only_run_that_is_made_again(tmp_path, don
 
 
 @pytest.mark.parametrize(("words", "expected"), [
-    ("--jobs 0", "--jobs: expected 1 or more, got 0"),
+    ("--jobs 0", 'Invalid value "0" for --jobs. Must be >= 1.'),
     ("--executor ray", "--executor: expected dask or dask:ADDRESS, got 'ray'"),
 ])  # fmt: skip
 def test_options_that_cannot_work_are_one_line(scene, tmp_path, capsys, words, expected):

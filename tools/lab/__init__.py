@@ -7,14 +7,12 @@ experiments are made of is named here.
 
 from airgs_codec._report import Picture, Section, Table
 from airgs_codec._settings import required, setting
-from airgs_codec.cli.options import expect_names
 from tools.lab.command import Lab, main
 from tools.lab.page import COLOURS, Page, Row, listed, plain_log_ticks, rows_of
 from tools.lab.results import Results, content
 from tools.lab.timing import Took, alone, middle, seconds_of, timed
 
 __all__ = [
-    "COLOURS", "Lab", "Page", "Picture", "Results", "Row", "Section", "Table", "Took", "alone", "content",
-    "expect_names", "listed", "main", "middle", "plain_log_ticks", "required", "rows_of", "seconds_of",
-    "setting", "timed",
+    "COLOURS", "Lab", "Page", "Picture", "Results", "Row", "Section", "Table", "Took", "alone", "content", "listed",
+    "main", "middle", "plain_log_ticks", "required", "rows_of", "seconds_of", "setting", "timed",
 ]  # fmt: skip

@@ -16,13 +16,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 from airgs_codec._report import require_matplotlib
-from airgs_codec._settings import required, setting
-from airgs_codec.cli.options import expect_names, make_app, run_program, takes
+from airgs_codec._settings import default_of, required, setting
+from airgs_codec.cli.options import as_options, make_app, run_program
 from airgs_codec.cli.terminal import Bar  # before all that loads numba
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.tables import VERSION
@@ -34,6 +34,7 @@ from tools.lab.timing import machine
 
 OUTPUT = Path("build") / "lab"
 PROGRAM = "python -m tools.lab"
+NAMES = tuple(one.name for one in MEASUREMENTS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,18 +54,20 @@ class Lab:
         return Lab(folder, Results.at(folder / "work", bar), bar)
 
 
+@as_options
 @dataclass(frozen=True, slots=True)
 class Output:
     output: Path | None = setting(
         None, f"folder of the page, its pictures and figures (default: {OUTPUT}/NAME)", alias="-o", metavar="FOLDER"
     )
-    publish: str = setting("", "put the page and its figures into docs/results, as this measurement", metavar="NAME")
+    publish: str = setting("", "put the page and its figures into docs/results, as this measurement", choices=NAMES)
 
 
+@as_options
 @dataclass(frozen=True, slots=True)
 class Published:
     data: Path = required("a folder of scenes, by the names that commands of documents give them")
-    only: tuple[str, ...] = setting(tuple(one.name for one in MEASUREMENTS), "of these measurements")
+    only: tuple[str, ...] = setting(NAMES, "of these measurements", choices=NAMES)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -73,7 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(*(f"{one.name:<16} {one.question} ({one.takes})" for one in EXPERIMENTS), sep="\n")
         return 0
     app = make_app(PROGRAM, about=__doc__)
-    app.command(takes(Published)(_publish), name="publish")
+    app.command(_publish, name="publish")
     for one in EXPERIMENTS:
         if one.name == words[0]:  # it alone is loaded
             app.command(_command(one, words), name=one.name)
@@ -84,7 +87,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _publish(options: Published) -> int:
     """Run what documents show, and put its pages and figures into docs/results; the status is 1 where some failed."""
-    expect_names("--only", options.only, Published(options.data).only)
     failed = []
     for one in (one for one in MEASUREMENTS if one.name in options.only):
         words = [*shlex.split(one.words), "--publish", one.name, "-o", str((OUTPUT / one.name).absolute())]
@@ -96,8 +98,7 @@ def _publish(options: Published) -> int:
 
 
 def measurement_of(name: str, words: Sequence[str]) -> Measurement:
-    """The measurement of a name. Raises ConfigError where there is none, or where its command is another."""
-    expect_names("--publish", (name,), tuple(one.name for one in MEASUREMENTS))
+    """The measurement of a name. Raises ConfigError where its command is another."""
     found = next(one for one in MEASUREMENTS if one.name == name)
     asked = shlex.split(found.words)
     if list(words[: len(asked)]) != asked or not set(words[len(asked) :: 2]) <= {"--publish", "-o"}:
@@ -134,4 +135,7 @@ def _command(experiment: Experiment, words: Sequence[str]) -> Callable[..., int]
         return int(page.failed)
 
     command.__doc__ = f"{experiment.question}\n\n{module.__doc__}"
-    return takes(module.Options, Output)(command)
+    command.__annotations__ = {"options": as_options(module.Options), "output": Output}
+    needed = any(default_of(one) is MISSING for one in fields(module.Options))
+    command.__defaults__ = (Output(),) if needed else (module.Options(), Output())
+    return command

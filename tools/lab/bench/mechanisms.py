@@ -35,6 +35,7 @@ from airgs_codec.analysis.importance import WrittenRows
 from airgs_codec.encoder import decide, layout, omit, publish, sample
 from airgs_codec.encoder.sample import CalibrationSample
 from airgs_codec.encoder.survey import Survey
+from airgs_codec.errors import ConfigError
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.package import Package
 from airgs_codec.progress import Progress, silent
@@ -49,7 +50,7 @@ from airgs_codec.trainer.fit.trainer import Trainer
 from airgs_codec.trainer.frames import Capture, train_first
 from airgs_codec.trainer.record import TrainedFrame
 from airgs_codec.trainer.settings import Temporal, TrainSettings
-from tools.lab import Lab, Page, Row, Section, Table, content, expect_names, listed, required, setting
+from tools.lab import Lab, Page, Row, Section, Table, content, listed, required, setting
 from tools.lab.made import name_of
 
 LEAST_BYTES, LEAST_DB, LEAST_TIME = 2.0, 0.3, 20.0  # per cent of the bytes, dB, per cent of the time
@@ -245,7 +246,8 @@ OF_TRAINING = (
 
 def run(options: Options, lab: Lab) -> Page:
     known = [one.name for one in (*MECHANISMS, *OF_TRAINING)]
-    expect_names("--only", options.only, known)
+    if not set(options.only) <= set(known):
+        raise ConfigError(f"--only: expected some of {', '.join(known)}, got {', '.join(options.only)}")
     chosen = [one for one in MECHANISMS if one.name in (options.only or known)]
     rows: list[Row] = []
     for scene in options.scenes:

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from airgs_codec.render import cpu
-from tools.lab import Lab, Page, Picture, Section, Table, content, expect_names, rows_of, setting
+from tools.lab import Lab, Page, Picture, Section, Table, content, rows_of, setting
 from tools.lab.numerics import fits, gradients, plans, steps
 from tools.lab.numerics.outcome import (
     BOUNDED,
@@ -92,12 +92,11 @@ LINES = (
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    only: tuple[str, ...] = setting(PARTS, f"some of {', '.join(PARTS)}")
+    only: tuple[str, ...] = setting(PARTS, "parts", choices=PARTS)
     quick: bool = setting(False, "a third of the values")
 
 
 def run(options: Options, lab: Lab) -> Page:
-    expect_names("--only", options.only, PARTS)
     torch.set_num_threads(1)
     cells: list[Cell] = []
     reads = {"quick": options.quick, "code": content(Path(__file__).parent)}

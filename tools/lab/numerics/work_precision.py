@@ -20,7 +20,7 @@ from airgs_codec.play.policies import DEFAULT_POLICY, HORIZON_SEGMENTS, ORACLES
 from airgs_codec.play.trace import read_trace
 from airgs_codec.render import cpu
 from airgs_codec.scene.sequence import open_sequence
-from tools.lab import Lab, Page, Picture, Section, Table, content, expect_names, plain_log_ticks, rows_of, setting
+from tools.lab import Lab, Page, Picture, Section, Table, content, plain_log_ticks, rows_of, setting
 from tools.lab.numerics import decode, encode, renderer, selector, survey, trainer
 from tools.lab.numerics.rows import FOX, FOX_FPS, REPEATS, Bench, Point, Row, Scene, open_spinach
 
@@ -96,12 +96,11 @@ class Options:
     fox: Path = setting(FOX, "a sequence with its cameras")
     spinach: Path | None = setting(None, "a clip with spinach_views.json beside it, in addition")
     traces: Path | None = setting(None, "a folder of traces for sessions, in place of made ones")
-    only: tuple[str, ...] = setting(NAMES, f"some of {', '.join(NAMES)}")
+    only: tuple[str, ...] = setting(NAMES, "parts", choices=NAMES)
     quick: bool = setting(False, "fewer points and runs")
 
 
 def run(options: Options, lab: Lab) -> Page:
-    expect_names("--only", options.only, NAMES)
     scenes = [Scene("fox", open_sequence(options.fox, fps=FOX_FPS))]
     if options.spinach is not None:
         scenes.append(open_spinach(options.spinach))

@@ -23,7 +23,7 @@ from airgs_codec.package.package import open_package
 from airgs_codec.play.trace import Trace
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.formats.ply import read_ply
-from tools.lab import Lab, Page, Picture, Section, Table, expect_names, setting, timed
+from tools.lab import Lab, Page, Picture, Section, Table, setting, timed
 from tools.lab.baselines.airgs import PACKAGE
 from tools.lab.baselines.method import frame_path, mean_bytes
 from tools.lab.paper import pictures
@@ -65,20 +65,17 @@ PROTOCOL = (
 @dataclass(frozen=True, slots=True)
 class Options:
     scenes: tuple[str, ...] = setting((FOX,), "NAME=FOLDER[,frames=A:B][,size=PX][,near=Z][,held=CAMERA+CAMERA]")
-    methods: tuple[str, ...] = setting(tuple(METHODS), f"some of {', '.join(METHODS)}")
+    methods: tuple[str, ...] = setting(tuple(METHODS), "which are compared", choices=tuple(METHODS))
     traces: tuple[Path, ...] = setting((DATA / "fox" / "trace.csv",), "traces, or folders of them")
     show: tuple[str, ...] = setting((), "scenes whose pictures are shown side by side")
     name: str = setting("paper", "that names of pictures and tables begin with")
-    only: tuple[str, ...] = setting(PARTS, f"some of {', '.join(PARTS)}")
+    only: tuple[str, ...] = setting(PARTS, "parts", choices=PARTS)
     jobs: int = setting(2, "processes, each on one core")
     quick: bool = setting(False, "four small frames, a few hundred iterations")
 
 
 def run(options: Options, lab: Lab) -> Page:
-    expect_names("--methods", options.methods, tuple(METHODS))
-    expect_names("--only", options.only, PARTS)
     subjects = [parse_subject(text) for text in options.scenes]
-    expect_names("--show", options.show, tuple(subject.name for subject in subjects))
     subjects = [s.quick() for s in subjects] if options.quick else subjects
     files = [f for path in options.traces for f in (sorted(path.iterdir()) if path.is_dir() else [path])]
     traces = [Trace.open(str(file)) for file in files]
