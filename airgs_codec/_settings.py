@@ -58,6 +58,10 @@ def documented(settings: type[Settings]) -> type[Settings]:
         for name, kind in get_type_hints(settings).items():
             if not _is_of(getattr(self, name), kind):
                 raise ConfigError(f"{name}: expected {_words_of(kind)}, got {described(getattr(self, name))}")
+        for one in fields(settings):  # type: ignore[arg-type]
+            choices, value = one.metadata.get("choices"), getattr(self, one.name)
+            if choices and value not in choices:
+                raise ConfigError(f"{one.name}: expected one of {', '.join(choices)}, got {value}")
         check(self)
 
     settings.__post_init__ = made  # type: ignore[attr-defined]

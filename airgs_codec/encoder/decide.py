@@ -47,7 +47,8 @@ def choose(
 ) -> tuple[Plan, Surveys]:
     """Decide as `decide` does, and give what is known of groups that were looked at; `run` is as in `Plan`."""
     sequence, renderer, watch = ordered.sequence, open_renderer(settings.device), Stopwatch()
-    choices = [Choice("order of Gaussians", ordered.words, ordered.seconds)]
+    in_order = f"{len(ordered.restored.matched)} frames were put in order"
+    choices = [Choice("order of Gaussians", in_order, ordered.seconds)]
     views, notes = choose_views(sequence, settings, renderer)
     choices.append(Choice("views", region_words(views.region), watch.lap()))
     settings = replace(settings, steps=settings.steps.at_scale(views.scale))

@@ -41,7 +41,7 @@ from airgs_codec.scene.gaussians import Gaussians
 
 OPACITY = DELTA.slice("opacity").start
 LEAST_HIDDEN = 16  # codes of alpha, above which the two escapes of a row that goes and comes are cheaper than samples
-ROUNDINGS = 3  # sizes of slopes that `ErrorModel` counts besides: they are rounded to float32 twice, and make residuals
+ROUNDINGS = 3  # sizes of slopes that `ErrorModel` adds: they are rounded to float32 twice, and make residuals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +124,6 @@ def rank_deltas(
 
 
 def _encode_level(layout: GroupLayout, level: CodedLevel, clock: Clock, codec: CodecSettings) -> Representation:
-    """Encode the segments of a level that are fetched."""
     if level.samples is None:
         return EMPTY
     gops, segments = [], zip(layout.local_segments, layout.segments, level.escapes, level.slopes, strict=True)
@@ -149,14 +148,9 @@ class StoredSamples:
         return replace(self, frames=self.frames[frames])
 
     def __iter__(self) -> Iterator[NDArray[np.uint8]]:
-        """(P, n) of one frame after the other."""
-        with self.path.open("rb") as file:
-            for frame in self.frames:
-                samples = np.empty((self.planes, self.rows), np.uint8)
-                for plane, place in enumerate(samples):
-                    file.seek((plane * self.total + frame) * self.rows)
-                    file.readinto(place.data)
-                yield samples
+        """Yield (P, n) of one frame after the other."""
+        samples = np.memmap(self.path, np.uint8, "r", shape=(self.planes, self.total, self.rows))
+        return (np.array(samples[:, frame]) for frame in self.frames)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,7 +181,7 @@ class CodedSlopes:
         return CodedSlopes(gop, Escapes.of(bases), extract(next(iter(gop.pictures("slopes"))), atlas), bases[0])
 
     def decoded(self, plane: int) -> NDArray[np.float64]:
-        """(n,) slopes of a plane as decoded, in codes."""
+        """Return (n,) slopes of a plane as decoded, in codes."""
         return self.samples[plane].astype(np.float64) - GREY + escapes.UNIT * self.bases[plane]
 
 
@@ -209,7 +203,7 @@ class LevelCoder:
     codec: CodecSettings
 
     def code(self, omitted: NDArray[np.bool_]) -> CodedLevel:
-        """The rows without the planes of (10 + C,) channels that are left out. Raises CodecError."""
+        """Code the rows without the planes of the (10 + C,) channels that are `omitted`. Raises CodecError."""
         nothing = tuple(None for _ in self.fetched)
         count, gain = len(self.steps), qp_step(DELTA_QP)
         if not len(self.rows):
@@ -241,20 +235,19 @@ class LevelCoder:
         return CodedLevel(atlas, error, samples, self._packed(jumps, slopes), gops)
 
     def _channel(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.int32] | None]:
-        """(T, n) values of a channel to be coded, and bases that are taken off besides, of rows that are not drawn."""
+        """Return (T, n) values of a channel, and the bases that hide rows which are not drawn."""
         values = self.values.channel(channel, self.rows)
         if channel == OPACITY:
             return hide_undrawn(values, self.alpha, self.steps[channel] / qp_step(DELTA_QP))
         return values, None
 
     def _codes(self, values: NDArray[np.float64], channel: int) -> NDArray[np.int32]:
-        """(T, 1, n) codes of (T, n) values."""
         return to_codes(values[:, None], self.steps[channel : channel + 1], qp_step(DELTA_QP), channel)
 
     def _write(self, file: BinaryIO, codes: NDArray[np.int32], hidden: NDArray[np.int32] | None) -> list[Escapes]:
         """Write the samples of a plane from (T, 1, n) centred codes; gives the jumps in segments that are fetched.
 
-        `hidden` (T, n): bases that are taken off besides, of rows that are not drawn.
+        `hidden` (T, n): the bases that hide rows which are not drawn.
         """
         samples = np.zeros(codes.shape, np.uint8)
         jumps = []
@@ -268,7 +261,7 @@ class LevelCoder:
         return jumps
 
     def _packed(self, jumps: Sequence[Sequence[Escapes]], slopes: Slopes) -> tuple[bytes | None, ...]:
-        """The column file of each segment, None where nothing is fetched."""
+        """Return the column file of each segment, None where nothing is fetched."""
         of_segments = (Escapes.join(of_segment) for of_segment in zip(*jumps, strict=True))
         return tuple(
             None if part is None else escapes.pack(*((slope.escapes,) if slope else ()), next(of_segments))
@@ -276,7 +269,7 @@ class LevelCoder:
         )
 
     def _lines(self, atlas: Atlas) -> Slopes:
-        """The slopes of segments of at least LEAST_SLOPED frames, where the plan has slopes."""
+        """Return the slopes of segments of at least LEAST_SLOPED frames, where the plan has slopes."""
         shape = len(atlas.planes), len(self.rows)
         sloped = [
             part if self.sloped and part and part.stop - part.start >= LEAST_SLOPED else None for part in self.fetched

@@ -28,7 +28,7 @@ from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.frames import Repaired, turn_least
 
 WORTH = 0.25  # share of a keyframe's bytes that coding its difference must save
-MORE = 0.25  # share of its Gaussians that a keyframe may have besides those that its own pictures need
+MORE = 0.25  # how many more Gaussians, as a share, a keyframe may have than its own pictures need
 UNBOUNDED = ("means", "log_scales", "sh_dc", "sh_rest")  # attributes whose numbers may be of any size
 
 
@@ -42,7 +42,6 @@ class Base:
 
 
 def encode_run(run: Sequence[Frames], plan: Plan) -> list[GroupFiles]:
-    """Encode the groups of a run."""
     return list(fold(run, plan))
 
 
@@ -114,7 +113,7 @@ def naming_farthest(frames: Frames) -> Iterator[None]:
 
 
 def _farthest(frames: Frames, number: int, attribute: str) -> tuple[float, str]:
-    """How far the number of an attribute that is farthest from the others is from them, and where it stands."""
+    """Return how far the number of an attribute that is farthest from the others is from them, and where it stands."""
     sequence = frames.sequence
     rows = getattr(replace(sequence, orders={}).read(number), attribute).astype(np.float64)
     rows = np.where(np.isfinite(rows), rows, 0).reshape(len(rows), -1)

@@ -69,7 +69,7 @@ class CodedKeyframe:
 
     @property
     def bytes(self) -> int:
-        """Bytes of all keyframe pictures and sidecars, before there are deltas."""
+        """Return bytes of all keyframe pictures and sidecars, before there are deltas."""
         parts = list(itertools.chain(*self.tiers))
         size = sum(len(part.detail) + sum(len(gop.fragment) for gop in part.pictures.gops) for part in parts)
         return size + sum(len(self.sidecar(tier)) for tier in range(len(self.tiers)))
@@ -116,7 +116,7 @@ def code_keyframe(
 def _code_tier(
     values: NDArray[np.float64], steps: NDArray[np.float64], omitted: NDArray[np.bool_], detail: list[Column]
 ) -> CodedTier:
-    """From (1, c, n) values, (c,) steps, (c,) channels that are left out, and the detail of positions."""
+    """Quantise (1, c, n) values with (c,) steps, but for (c,) channels that are left out; `detail` is of positions."""
     if not values.size:
         return _no_picture(steps)
     gain = qp_step(KEYFRAME_QP)
@@ -130,7 +130,7 @@ def _code_tier(
 def _code_difference(
     values: NDArray[np.float64], changes: NDArray[np.float64], steps: NDArray[np.float64]
 ) -> CodedTier:
-    """From (1, c, n) values, how they changed, and (c,) steps.
+    """Quantise (1, c, n) values, which changed by so much, with (c,) steps.
 
     A row differs by nothing if it is as near as a fresh coding promises, or has hardly changed: then viewers see it
     with whatever error it has, as before.
@@ -150,7 +150,7 @@ def _no_picture(steps: NDArray[np.float64]) -> CodedTier:
 
 
 def _with_picture(atlas: Atlas) -> Atlas:
-    """A keyframe always has a picture: of its first channel, if all channels are constant."""
+    """Return the atlas with a picture: of its first channel, if all channels are constant."""
     if atlas.planes:
         return atlas
     return replace(atlas, planes=[0], plane_width=choose_layout(atlas.rows, 1)[0], columns=1)

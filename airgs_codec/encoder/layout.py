@@ -73,7 +73,7 @@ class GroupLayout:
 
     @property
     def local_segments(self) -> list[slice]:
-        """The frames of each segment, counted from the start of the group."""
+        """Return the frames of each segment, counted from the start of the group."""
         return [slice(start - self.span[0], stop - self.span[0]) for start, stop in self.segments]
 
     def tier_rows(self, tier: int) -> slice:
@@ -82,35 +82,33 @@ class GroupLayout:
 
     @property
     def difference_steps(self) -> DeltaSteps:
-        """Steps of the difference to the keyframe of another group."""
         return difference_steps(self.keyframe_steps, self.grid)
 
     def delta_weights(self, rows: slice | NDArray[np.intp] = slice(None)) -> NDArray[np.float64]:
-        """(10 + C, n) what a squared step in a delta channel adds to the squared error of pictures."""
+        """Return (10 + C, n) what a squared step in a delta channel adds to the squared error of pictures."""
         return channel_weights(
             self.classes[rows], self.sensitivity.take(rows).by_attribute(), self.delta_steps, self.transform
         )
 
     def keyframe_weights(self) -> NDArray[np.float64]:
-        """(7 + C, N) the same for the channels of a keyframe, which has no means."""
+        """Return (7 + C, N) the same of the channels of a keyframe, which has no means."""
         weights = channel_weights(self.classes, self.sensitivity.by_attribute(), self.difference_steps, self.transform)
         return weights[DELTA.slice("means").stop :]
 
     def tier_steps(self, tier: int, layout: Layout = KEYFRAME) -> NDArray[np.float64]:
-        """(c,) steps of the channels of the picture of a tier at quality factor 1; that of a difference is a DELTA."""
+        """Return (c,) steps of the picture of a tier at quality factor 1; that of a difference is a DELTA."""
         return layout.steps(self.difference_steps, self.colours) * self.factors[tier]
 
     def keyframe_values(self) -> NDArray[np.float64]:
-        """(7 + C, N) keyframe channels."""
         return keyframe_channels(self.keyframe, self.transform, self.keyframe_steps, self.grid.unit)
 
     def canonical_space(self, channels: NDArray[np.float32], depths: NDArray[np.uint8]) -> Canonical:
-        """The canonical space of (7 + C, N) decoded channels and (N,) depths, with the finest positions."""
+        """Return the canonical space of (7 + C, N) decoded channels and (N,) depths, with the finest positions."""
         sidecar = self.sidecar(slice(None), depths)
         return dequantise_keyframe(channels, sidecar, self.transform, self.grid, self.keyframe_steps)
 
     def sidecar(self, rows: slice, depths: NDArray[np.uint8] | None = None) -> KeyframeSidecar:
-        """Some Gaussians with the finest positions, and their depths, of (N,); without these all are static."""
+        """Return some Gaussians with the finest positions, and their depths, of (N,); without these all are static."""
         deep = np.full(len(self.codes), STATIC, np.uint8) if depths is None else depths
         return KeyframeSidecar(self.codes[rows], self.classes[rows], self.wider[rows], deep[rows])
 
@@ -188,7 +186,8 @@ def lay_out_again(
 def error_with(
     base: GroupLayout, loaded: Repaired, survey: Survey, written: WrittenRows, views: Views, settings: EncodeSettings
 ) -> float | None:
-    """The mean squared error of pictures of a group, of which some rows are `written`, with those of an earlier one.
+    """Return the mean squared error of pictures of a group, of which some rows are `written`, with those of an earlier
+    one.
 
     None where pictures need Gaussians that the base does not have, or need them finer: what nobody saw there has large
     motion units.
@@ -214,14 +213,14 @@ def error_with(
 
 
 def _coarseness(classes: NDArray[np.int16], sensitivity: Sensitivity, keyframe: Gaussians, scale: float) -> float:
-    """The squared error of pictures by means of these motion classes over that by those that views ask for."""
+    """Return the squared error of pictures by means of these motion classes over that by those that views ask for."""
     asked = classify_motion(sensitivity.means, keyframe, scale)
     errors = [float(sensitivity.means @ np.exp2(2.0 * some)) for some in (classes, asked)]
     return errors[0] / errors[1] if errors[1] else 1.0
 
 
 def _of_frames(loaded: Repaired, frames: Frames, views: Views, settings: EncodeSettings) -> dict[str, Any]:
-    """The fields of a layout that only depend on which frames a group has."""
+    """Return the fields of a layout that only depend on which frames a group has."""
     own = range(frames.start, frames.stop)
     return {
         "number": frames.number + 1,
@@ -242,8 +241,7 @@ def split_segments(span: Span, segment_s: float, fps: Fraction) -> tuple[Span, .
 
 
 def assign_tiers(usage: NDArray[np.float64], shares: Sequence[float] = DEFAULT_TIERS) -> NDArray[np.uint8]:
-    """Assign each of N Gaussians to a keyframe tier, (N,): those with the highest `usage` (N,) to the first, ties in
-    order.
+    """Assign N Gaussians to keyframe tiers, (N,): those with the highest `usage` (N,) to the first, ties in order.
 
     Tiers hold `shares` of them, which sum to 1. The first has at least one, since some levels have no other.
     """
@@ -255,8 +253,7 @@ def assign_tiers(usage: NDArray[np.float64], shares: Sequence[float] = DEFAULT_T
 
 
 def tier_factors(weights: NDArray[np.float64], tiers: NDArray[np.integer], count: int) -> tuple[float, ...]:
-    """Find a factor on the keyframe steps of each of `count` tiers, with which bytes are least at the error of no
-    factors.
+    """Find the factors on the steps of `count` keyframe tiers with which bytes are least at the error of no factors.
 
     `weights` (N,) are the errors that a squared step makes in the Gaussians. Where steps are small against values,
     bytes fall with the logarithm of a factor and error grows with its square, so that all tiers should err alike:

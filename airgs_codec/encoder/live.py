@@ -8,11 +8,12 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 
 from airgs_codec.analysis.grouping import closed_groups
 from airgs_codec.analysis.matching import IN_ORDER, compare_order
-from airgs_codec.analysis.rows import Restored, restore_rows
+from airgs_codec.analysis.rows import restore_rows
 from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.decide import Surveys, choose
 from airgs_codec.encoder.group import Base, encode_group
@@ -57,7 +58,7 @@ class _Publisher:
         self._place, self._attribution, self._owner = place, attribution, owner
         self._base: Base | None = None
         self._base_files: GroupFiles | None = None  # of the group that `_base` is
-        self._seen: list[Seen] = []  # of every so many-th group
+        self._seen: list[Seen] = []  # of every `_every`-th group
         self._every = 1
         self.package: GrowingPackage | None = None
 
@@ -81,7 +82,6 @@ class _Publisher:
         return self.package.manifest
 
     def _begin(self, sequence: GaussianSequence, plan: Plan, files: GroupFiles) -> GrowingPackage:
-        """Publish the package with its first group."""
         available = datetime.fromtimestamp(sequence.paths[0].stat().st_mtime, UTC)
         credit = sequence.attribution if self._attribution is None else self._attribution
         with staged_package(self._place) as stage:
@@ -95,7 +95,7 @@ class _Publisher:
         return GrowingPackage(self._place, manifest, available)
 
     def _measured(self, place: Storage, m: Manifest, sequence: GaussianSequence, plan: Plan) -> Manifest:
-        """The tables with the quality of the newest group, and that of all so far."""
+        """Return the tables with the quality of the newest group, and that of all so far."""
         most, renderer = plan.settings.measure_pictures, open_renderer(plan.settings.device)
         if not most:
             return m
@@ -138,7 +138,8 @@ def follow(
                 with closing(hold_frames(whole)) as held:
                     rows = restore_rows(held, settings.rows, progress, range(first, last))
                     sequence, notes = rows.sequence, rows.notes
-                    for start, stop in _parts(rows, first, last):
+                    breaks = [frame for frame in sequence.breaks if first < frame < last]  # rows were not matched
+                    for start, stop in pairwise([first, *breaks, last]):
                         if plan is None:
                             part = replace(sequence, paths=sequence.paths[:stop], headers=sequence.headers[:stop])
                             ordered = Ordered(replace(rows, sequence=part), 0.0)
@@ -161,7 +162,7 @@ def follow(
 def _whole_groups(
     folder: GrowingFolder, planned: list[tuple[Span, ...]], group_frames: int, more: Callable[[int], bool]
 ) -> Iterator[tuple[GaussianSequence, int, int]]:
-    """Each group [start, stop) once all frames that it needs are there, with the sequence as far as it is there.
+    """Yield each group [start, stop) once all frames that it needs are there, with the sequence as far as it is there.
 
     `planned`: the spans of groups that are given, as `Plan.spans` has them; then come those that no frame will join.
     """
@@ -185,17 +186,11 @@ def _whole_groups(
 
 
 def _lost(sequence: GaussianSequence, start: int, stop: int) -> bool:
-    """Whether the Gaussians of a group, as its files have them, are others than those of the frame before it."""
+    """Return whether the Gaussians of a group, as its files have them, are others than those of the frame before it."""
     if any(frame in sequence.orders for frame in range(start, stop)):
         return True
     before, here = (sequence.read(number) for number in (start - 1, start))
     return len(before) != len(here) or compare_order(before, here)[0] != IN_ORDER
-
-
-def _parts(rows: Restored, first: int, last: int) -> list[tuple[int, int]]:
-    """Groups [start, stop) of frames [first, last), which were to be one, where some rows could not be matched."""
-    starts = [first, *(frame for frame in rows.sequence.breaks if first < frame < last)]
-    return list(zip(starts, [*starts[1:], last], strict=True))
 
 
 def _published(m: Manifest, sequence: GaussianSequence, notes: list[str]) -> PublishedGroup:

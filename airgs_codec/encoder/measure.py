@@ -23,7 +23,7 @@ from airgs_codec.media.metrics import Difference, Picture, low_psnr, psnr
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import GUESSED
-from airgs_codec.package.tables import RungQuality, Segment
+from airgs_codec.package.tables import RungQuality
 from airgs_codec.render.backend import Renderer
 from airgs_codec.render.compare import View, compare, draw_frames, in_order
 from airgs_codec.scene.gaussians import Gaussians
@@ -76,7 +76,7 @@ def _error_of(reference: Picture, shown: Picture) -> Difference:
 
 
 def _standard_error(differences: Sequence[Difference], top: Sequence[Difference] = ()) -> float:
-    """The relative standard error of a mean squared error; with `top`, of its ratio to that of the top rung."""
+    """Return the relative standard error of a mean squared error; with `top`, of its ratio to that of the top rung."""
     errors, others = (np.array([one.mse for one in some]) for some in (differences, top))
     if len(errors) < 2 or not errors.any():
         return 0.0
@@ -102,9 +102,9 @@ def _look(
     draw = draw_frames(in_order(numbers, _originals(package.manifest, sequence, numbers)), renderer)
     originals = lru_cache(maxsize=1)(lambda i: draw(*pictures[i]))
     shown = {
-        rung: draw_frames(in_order(_unique(of_rung), _decoded(package, spaces, rung, _unique(of_rung))), renderer)
+        rung: draw_frames(in_order(of_rung, _decoded(package, spaces, rung, of_rung)), renderer)
         for rung, some in wanted.items()
-        if (of_rung := [pictures[i][0] for i in order if i in some])
+        if (of_rung := sorted({pictures[i][0] for i in some}))
     }
     results = compare(
         lambda number, _: originals(asked[number][0]),
@@ -117,13 +117,8 @@ def _look(
 
 
 def _originals(m: Manifest, sequence: GaussianSequence, numbers: Sequence[int]) -> Iterator[Gaussians]:
-    """Frames by their ascending numbers after repairs, which those of a group share."""
     for _, some in itertools.groupby(numbers, key=lambda number: m.group_of(m.segment_at(number))):
         yield from sequence.load(some).frames
-
-
-def _unique(numbers: Sequence[int]) -> list[int]:
-    return sorted(set(numbers))
 
 
 def _decoded(
@@ -176,7 +171,13 @@ def with_quality(m: Manifest, seen: Sequence[Seen], newest: bool = False) -> Man
         for index, segment in zip(m.segments_of(number), m.groups[number].segments, strict=True):
             own = [one for one, place in zip(whole, places, strict=True) if place == index and not one.blank] or clear
             own = own if any(one.delta_e is not None for one in own) else [*own, clear[0]]
-            segments.append(_measured_segment(segment, m, own, harder, ratios))
+            error, colour = harder * _mean(own, "mse"), _mean(own, "delta_e")
+            levels = []
+            for j, level in enumerate(segment.levels):
+                of_rungs = [ratios[j, q] for q in range(len(m.qualities))]
+                shown = [round(psnr(error * share), 2) for share, _ in of_rungs]
+                levels.append(replace(level, psnr=shown, delta_e=[round(colour * share, 2) for _, share in of_rungs]))
+            segments.append(replace(segment, levels=levels))
         tables.append(replace(m.groups[number], segments=segments))
     views = replace(m.views, measured=max(quality.pictures for quality in rungs.values()))
     if newest:
@@ -184,26 +185,11 @@ def with_quality(m: Manifest, seen: Sequence[Seen], newest: bool = False) -> Man
     return replace(m, groups=m.groups if newest else Groups.of(tables), rungs=measured, views=views)
 
 
-def _measured_segment(
-    segment: Segment, m: Manifest, own: Sequence[Difference], harder: float, ratios: dict[Rung, tuple[float, float]]
-) -> Segment:
-    """A segment with the quality that its `own` pictures of the top rung say; `ratios` of other rungs' errors to it."""
-    mse, colour, levels = harder * _mean(own, "mse"), _mean(own, "delta_e"), []
-    for j, level in enumerate(segment.levels):
-        of_rungs = [ratios[j, q] for q in range(len(m.qualities))]
-        found = (
-            [round(psnr(mse * share), 2) for share, _ in of_rungs],
-            [round(colour * share, 2) for _, share in of_rungs],
-        )
-        levels.append(replace(level, psnr=found[0], delta_e=found[1]))
-    return replace(segment, levels=levels)
-
-
 def _mean(differences: Sequence[Difference], name: str) -> float:
-    """The mean of a figure over the pictures for which it is known, of which there is one."""
+    """Return the mean of a figure over the pictures for which it is known, of which there is one."""
     return float(np.mean([getattr(one, name) for one in differences if getattr(one, name) is not None]))
 
 
 def _share(part: float, whole: float) -> float:
-    """The ratio of two means; where there is no error that another could be a share of, the other itself."""
+    """Return the ratio of two means; where there is no error that another could be a share of, the other itself."""
     return part / whole if whole else part

@@ -61,57 +61,43 @@ class DeltaValues:
         rows = np.flatnonzero(~drawn.all(axis=0))
         if not len(rows):
             return
-        opacity = DELTA.slice("opacity")
         with self.path.open("r+b") as file:
-            for channel in np.delete(np.arange(self.channels), opacity).tolist():
-                plane = self.channel(channel, slice(None))
+            for channel in np.delete(np.arange(self.channels), DELTA.slice("opacity")).tolist():
+                plane = self.planes[channel].copy()
                 held = plane[:, rows]
                 hold_undrawn(held[:, None], drawn[:, rows])
                 plane[:, rows] = held
                 file.seek(self._offset(channel, 0))
                 file.write(plane.data)
 
+    @property
+    def planes(self) -> NDArray[np.float64]:
+        """Return (10 + C, T, N) values, which are read from the file where they are looked at."""
+        shape = self.channels, self.frames, self.rows
+        return np.memmap(self.path, np.float64, "r", shape=shape) if self.rows else np.empty(shape)
+
     def chunks(self) -> Iterator[slice]:
-        """Rows that may be in memory together in all frames."""
+        """Return rows that may be in memory together in all frames."""
         return row_chunks(self.rows, self.frames * self.channels)
 
     def channel(self, channel: int, rows: NDArray[np.intp] | slice) -> NDArray[np.float64]:
-        """(T, n) values of some rows in one channel."""
-        places = np.arange(self.rows)[rows]
-        if not len(places):
-            return np.empty((self.frames, 0))
-        first, stop = int(places.min()), int(places.max()) + 1
-        plane = np.empty(stop - first)
-        out = np.empty((self.frames, len(places)))
-        with self.path.open("rb") as file:
-            for t in range(self.frames):
-                file.seek(self._offset(channel, t) + _BYTES * first)
-                file.readinto(plane.data)
-                out[t] = plane[places - first]
-        return out
+        """Return (T, n) values of some rows in one channel."""
+        return np.array(self.planes[channel][:, rows])
 
     def part(self, rows: slice, frames: slice = slice(None)) -> NDArray[np.float64]:
-        """(t, 10 + C, n) values of some rows in some frames."""
-        start, stop, _ = rows.indices(self.rows)
-        times = range(self.frames)[frames]
-        out = np.empty((len(times), self.channels, stop - start))
-        with self.path.open("rb") as file:
-            for place, t in enumerate(times):
-                for channel in range(self.channels):
-                    file.seek(self._offset(channel, t) + _BYTES * start)
-                    file.readinto(out[place, channel].data)
-        return out
+        """Return (t, 10 + C, n) values of some rows in some frames."""
+        return np.array(self.planes[:, frames, rows].swapaxes(0, 1), order="C")
 
     def frame(self, t: int) -> NDArray[np.float64]:
-        """(10 + C, N) values of one frame."""
-        return self.part(slice(0, self.rows), slice(t, t + 1))[0]
+        """Return (10 + C, N) values of one frame."""
+        return np.array(self.planes[:, t])
 
     def _offset(self, channel: int, t: int) -> int:
         return _BYTES * self.rows * (channel * self.frames + t)
 
 
 def note_omission(what: str, count: int, error: float, size: float) -> LeftOut | None:
-    """The record that `count` things were left out, at this error and to save `size` bytes a frame."""
+    """Return the record that `count` things were left out, at this error and to save `size` bytes a frame."""
     return LeftOut(what, count, float(f"{error:.3g}"), float(f"{size:.3g}")) if count else None
 
 
@@ -141,7 +127,6 @@ def omit_bands(frames: Frames, survey: Survey, settings: EncodeSettings) -> tupl
 
 
 def _band_bytes(g: Gaussians, band: int, step: float) -> float:
-    """Estimated bytes of the coefficients of one SH band of a frame."""
     top = g.with_degree(band).sh_rest[:, SH_REST[band - 1] :]
     coefficients = top.reshape(1, len(g), -1).transpose(0, 2, 1).astype(np.float64) / step
     none = np.zeros(coefficients.shape[1])
@@ -175,7 +160,7 @@ class KeyframeOmissions:
         return note_omission("gaussians", missing, self.layout.removal_error, size)
 
     def planes(self, price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
-        """(7 + C,) channels that every row may take from the channel's median."""
+        """Return (7 + C,) channels that every row may take from the channel's median."""
         if price == 0:
             return np.zeros(len(self.sizes), bool), None
         pictures = self.layout.pictures
@@ -190,7 +175,6 @@ class KeyframeOmissions:
         return chosen, note_omission("keyframe planes", int(chosen.sum()), cost, saved)
 
     def _show(self, values: NDArray[np.float64]) -> Source:
-        """The canonical frame with these (7 + C, N) keyframe channels."""
         depths = np.zeros(len(self.layout.codes), np.uint8)
         shown = self.layout.canonical_space(values.astype(np.float32), depths).to_gaussians()
         return draw_still(shown, self.layout.renderer)
@@ -229,12 +213,12 @@ class DeltaOmissions:
 
     @staticmethod
     def of(layout: GroupLayout, base: Canonical, values: DeltaValues, depths: NDArray[np.uint8]) -> DeltaOmissions:
-        """From differences to a canonical space and the (N,) depths of rows."""
+        """Make it from differences to a canonical space and the (N,) depths of rows."""
         applier = DeltaApplier.of(base, np.flatnonzero(depths != STATIC), layout.delta_steps)
         return DeltaOmissions(layout, values, depths, applier)
 
     def planes(self, price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
-        """(10 + C,) channels that every row may take from the channel's median."""
+        """Return (10 + C,) channels that every row may take from the channel's median."""
         frames, count, rows = self.values.frames, self.values.channels, self.applier.rows
         if price == 0 or not len(rows):
             return np.zeros(count, bool), None
@@ -255,7 +239,7 @@ class DeltaOmissions:
         return _estimate_deltas(self.layout, self.values, self.depths != STATIC, centres, frames)
 
     def _show(self, omitted: NDArray[np.bool_], centres: NDArray[np.float64]) -> Source:
-        """The frames of the group, whose `omitted` channels are at their centres."""
+        """Return the frames of the group, whose `omitted` channels are at their centres."""
 
         def frame(place: int) -> Gaussians:
             shown = self.values.frame(place)[:, self.applier.rows]

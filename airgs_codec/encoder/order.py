@@ -16,8 +16,8 @@ from airgs_codec.scene.frames import HeldFrames
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
-STRANGE = 3.0  # times as far apart as in the frame before, or from where that is
-SOME = 4096  # Gaussians of a frame that tell where it lies
+STRANGE = 3.0  # times the extent of the frame before, in size or distance
+SOME = 4096  # Gaussians of a frame whose median shows where it lies
 HELD_SHARE = 8  # of the machine's memory: an eighth may hold frames, since coding a group takes several times its size
 
 
@@ -33,13 +33,9 @@ class Ordered:
     def sequence(self) -> GaussianSequence:
         return self.restored.sequence
 
-    @property
-    def words(self) -> str:
-        return f"{len(self.restored.matched)} frames were put in order"
-
 
 def hold_frames(sequence: GaussianSequence) -> GaussianSequence:
-    """The sequence with memory for frames that are read, until it is closed; other processes read on their own."""
+    """Return the sequence with memory for frames that were read, until it is closed."""
     if sequence.held is not None:
         return sequence
     known = hasattr(os, "sysconf")
@@ -75,7 +71,7 @@ def look_at_frames(sequence: GaussianSequence, progress: Progress = silent) -> t
 
 
 def _reach(frame: Gaussians) -> Reach:
-    """The median place of some Gaussians that are finite, and their median distance from it."""
+    """Return the median place of some Gaussians that are finite, and their median distance from it."""
     means = frame.means[:: max(1, len(frame) // SOME)].astype(np.float64)
     means = means[np.isfinite(means).all(axis=1)]
     if not len(means):
@@ -85,7 +81,7 @@ def _reach(frame: Gaussians) -> Reach:
 
 
 def _strange(reaches: Sequence[Reach]) -> tuple[str, ...]:
-    """A sentence on frames whose Gaussians lie elsewhere than those of the frame before."""
+    """Return a sentence on frames whose Gaussians lie elsewhere than those of the frame before."""
     frames = []
     for number, ((at, reach), (other, far)) in enumerate(pairwise(reaches), 1):
         low, high = sorted([reach, far])

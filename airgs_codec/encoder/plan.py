@@ -66,7 +66,7 @@ class Plan:
         return replace(self, groups=(*self.groups, *groups), begins=tuple(begins))
 
     def begins_run(self, sequence: GaussianSequence, start: int, length: int) -> bool:
-        """Whether a group from a frame on begins a run, where so many groups are in the last one.
+        """Return whether a group that starts at a frame begins a run, where the last run has `length` groups.
 
         It does where it has other Gaussians than the group before it, where that run is full, and where the settings
         ask for it.

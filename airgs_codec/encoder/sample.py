@@ -97,7 +97,7 @@ class CalibrationSample(Columns):
     def code_keyframe(
         self, steps: StepSettings, factor: float, attributes: Sequence[str] = DELTA.attributes
     ) -> tuple[float, Canonical]:
-        """Bytes a frame, and the canonical space as decoded; attributes that are not named stay exact."""
+        """Return bytes a frame, and the canonical space as decoded; attributes that are not named stay exact."""
         transform = self._transform(steps)
         channels, size = self._code_keyframe_channels(steps, transform, factor, attributes)
         grid = fit_grid(self.keyframe.means, self.classes, steps.grid)
@@ -115,7 +115,7 @@ class CalibrationSample(Columns):
     def _code_keyframe_channels(
         self, steps: StepSettings, transform: NDArray[np.float64], factor: float, attributes: Sequence[str]
     ) -> tuple[NDArray[np.float32], float]:
-        """(7 + C, n) keyframe channels, those of the named attributes as decoded, and the bytes of their picture."""
+        """Return (7 + C, n) keyframe channels, some attributes as decoded, and the bytes of their picture."""
         values = keyframe_channels(self.keyframe, transform, steps.keyframe, steps.grid)
         channels = values.astype(np.float32)
         chosen = np.zeros(len(values), bool)
@@ -131,7 +131,7 @@ class CalibrationSample(Columns):
         return channels, float(sizes[0])
 
     def error(self, errors: NDArray[np.float64], steps: StepSettings) -> NDArray[np.float64]:
-        """(n,) what errors (T, 10 + C, n), in steps, add to the mean squared error of pictures of the whole group."""
+        """Return (n,) what errors (T, 10 + C, n), in steps, add to the mean squared error of pictures of the group."""
         weights = channel_weights(self.classes, self.sensitivity.by_attribute(), steps.delta, self._transform(steps))
         return self.row_ratio * withheld_error(errors, weights)
 
@@ -139,7 +139,7 @@ class CalibrationSample(Columns):
         return colour_transform(self.keyframe, steps.keyframe, steps.colours)
 
     def deltas(self, base: Canonical, steps: StepSettings) -> NDArray[np.float64]:
-        """(1 + T, 10 + C, n) differences of the canonical frame and the others to a canonical space, in steps."""
+        """Return (1 + T, 10 + C, n) differences of the canonical frame and others to a canonical space, in steps."""
         values = delta_channels([self.keyframe, *self.frames], base, steps.delta)
         return values / DELTA.steps(steps.delta, base.colour.shape[1])[:, None]
 
@@ -164,7 +164,8 @@ class CalibrationSample(Columns):
     def code_deltas(
         self, deltas: NDArray[np.float64], factor: float, part: slice = slice(None)
     ) -> tuple[float, NDArray[np.float64]]:
-        """Bytes a frame of moving rows, and (T, 10 + C, n) errors in steps of what is shown, in the channels `part`.
+        """Return bytes a frame of moving rows, and (T, 10 + C, n) errors in steps of what is shown, in the channels
+        `part`.
 
         `deltas` are those of `self.deltas`. A row that is not moving has the error of its canonical frame.
         """
@@ -183,14 +184,14 @@ class CalibrationSample(Columns):
 
 
 def fit_slopes(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(...,) what values (T, ...) of a segment rise by from its middle to its end, by least squares."""
+    """Return (...,) what values (T, ...) of a segment rise by from its middle to its end, by least squares."""
     times = slope_times(len(values))
     slopes: NDArray[np.float64] = np.tensordot(times / (times @ times), values, 1)
     return slopes
 
 
 def block_rows(rows: int, most: int) -> NDArray[np.intp]:
-    """(n,) rows of at most `most` evenly spaced blocks of BLOCK_ROWS."""
+    """Return (n,) rows of at most `most` evenly spaced blocks of BLOCK_ROWS."""
     blocks = np.array(evenly_spaced(-(-rows // BLOCK_ROWS), most))
     index = (blocks[:, None] * BLOCK_ROWS + np.arange(BLOCK_ROWS)).ravel()
     return index[index < rows]

@@ -81,7 +81,7 @@ class Subject:
         return Subject(loaded.frames, lay_out(loaded, frames, survey, written, views, settings), survey, settings)
 
     def sample(self, fps: float) -> CalibrationSample:
-        """Blocks spread over all rows, and the frames of the first segment: enough to see P and B pictures settle."""
+        """Return blocks spread over all rows, in the frames of the first segment: P and B pictures settle in them."""
         layout, settings = self.layout, self.settings
         segment = min(len(self.frames), MOST_FRAMES, max(1, int(settings.segment_s * fps)))
         index = block_rows(len(layout.rows), max(FEWEST_BLOCKS, SAMPLE_BLOCKS // segment))
@@ -113,8 +113,8 @@ class Subject:
 
 
 def solve_steps(sample: CalibrationSample, subject: Subject) -> tuple[StepSettings, float, float]:
-    """Steps of one price that together make the error that `subject.settings.steps` make, the price, and the bytes a
-    frame that they save, by the slopes. Raises SceneError as `balance`.
+    """Return steps of one price that together make the error that `subject.settings.steps` make, the price, and the
+    bytes a frame that they save, by the slopes. Raises SceneError as `balance`.
     """
     slopes = measure_slopes(sample, subject)
     factors, price = balance(slopes)
@@ -123,7 +123,8 @@ def solve_steps(sample: CalibrationSample, subject: Subject) -> tuple[StepSettin
 
 
 def balance(slopes: Mapping[str, Slope]) -> tuple[dict[str, float], float]:
-    """A factor on every step, and the price of a byte; no factors and 0 where no bytes or no error depend on steps.
+    """Return a factor on every step, and the price of a byte; no factors and 0 where no bytes or no error depend on
+    steps.
 
     Bytes fall with the logarithm of a step, at m; its error is b times its square. With factors f, sum b f^2 stays and
     bytes are least where f^2 = (m / sum m) / (b / sum b); a byte then costs 2 sum b / sum m. PRIOR keeps factors
@@ -141,7 +142,7 @@ def balance(slopes: Mapping[str, Slope]) -> tuple[dict[str, float], float]:
 
 
 def guess_price(sample: CalibrationSample, subject: Subject) -> float:
-    """The price of a byte at the steps of `subject.settings`, from one trial encode.
+    """Return the price of a byte at the steps of `subject.settings`, from one trial encode.
 
     Error grows with the square of the steps, bytes fall with their logarithm at about SLOPE of what they are.
     """
@@ -173,7 +174,7 @@ def measure_step_slopes(sample: CalibrationSample, steps: StepSettings, threads:
 
 
 def _row_slope(sample: CalibrationSample, subject: Subject) -> Slope:
-    """The slope of the error that leaving out rows may make, from what TRIAL times as much would save."""
+    """Return the slope of the error that leaving out rows may make, from what TRIAL times as much would save."""
     steps = subject.settings.steps
     remaining = subject.survey.pruning.within(steps.rows * TRIAL)
     fewer = sample.take(np.isin(subject.layout.rows[sample.index], remaining.rows)).cost(steps)
@@ -184,8 +185,8 @@ def _row_slope(sample: CalibrationSample, subject: Subject) -> Slope:
 def choose_levels(
     sample: CalibrationSample, subject: Subject, steps: StepSettings, price: float
 ) -> tuple[LevelSettings, ...]:
-    """The levels of LEVELS, which withhold nothing yet, each with as many keyframe tiers as are worth their bytes to
-    it.
+    """Return the levels of LEVELS, which withhold nothing yet, each with as many keyframe tiers as are worth their
+    bytes to it.
 
     What pictures miss without the others is rendered. `price` is that of a byte a frame at factor 1.
     """
@@ -238,7 +239,7 @@ class Withholding:
         return Withholding(score, tuple(error(share) for share in range(len(SHARES))))
 
     def sent(self, sample: CalibrationSample, share: float) -> NDArray[np.bool_]:
-        """(n,) moving rows of a sample whose updates are not among the `share` withheld."""
+        """Return (n,) moving rows of a sample whose updates are not among the `share` withheld."""
         sent: NDArray[np.bool_] = sample.moving & (assign_depths(self.score[sample.index], sample.moving, [share]) == 0)
         return sent
 
@@ -279,7 +280,7 @@ def choose_shares(
 
 
 def _rank(subject: Subject, frames: Sequence[Gaussians]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """`rank_updates` of all N Gaussians; `frames` are the canonical one and those that are ranked."""
+    """Rank the updates of all N Gaussians; `frames` are the canonical one and those that are ranked."""
     layout, rank = subject.layout, subject.settings.update_rank
     channels = keyframe_channels(frames[0], layout.transform, layout.keyframe_steps, layout.grid.unit).astype(
         np.float32

@@ -46,7 +46,7 @@ class Clock:
 
     @staticmethod
     def of(fps: Fraction) -> Clock:
-        """A clock in which a frame takes a whole number of ticks."""
+        """Return a clock in which a frame takes a whole number of ticks."""
         factor = 1 if fps.numerator >= 1000 else 1000
         return Clock(fps, fps.numerator * factor, fps.denominator * factor)
 
@@ -61,11 +61,9 @@ class AtlasPictures:
 
     @staticmethod
     def of(samples: Iterable[NDArray[np.uint8]], atlas: Atlas) -> AtlasPictures:
-        """Pictures of the size that the atlas asks for."""
         return AtlasPictures(samples, atlas, picture_size(atlas))
 
     def __iter__(self) -> Iterator[NDArray[np.uint8]]:
-        """(pages * H, W) each."""
         for picture in self.samples:
             yield assemble(picture[None], self.atlas, *self.size)[0]
 
@@ -99,7 +97,7 @@ def encode_checked(
 def _encode_checked(
     gop: ClosedGop, size: tuple[int, int], clock: Clock, codec: CodecSettings
 ) -> tuple[CodedGop, NDArray[np.uint8]]:
-    """A coded GOP and its (pages * H, W) largest luma error. Raises CodecError.
+    """Return a coded GOP and its (pages * H, W) largest luma error. Raises CodecError.
 
     Where decoded luma leaves its range the pictures are coded once more with a finer quantiser, which errs by less;
     the steps of the atlas and its escapes stay as they are.
@@ -130,7 +128,7 @@ class ErrorModel:
 
     @staticmethod
     def of(low: NDArray[np.float64], high: NDArray[np.float64], atlas: Atlas, units: NDArray[np.float64]) -> ErrorModel:
-        """From (channels,) least and largest values that the atlas was made of and the units of its codes."""
+        """Make it from (channels,) least and largest values that the atlas was made of and the units of its codes."""
         centres = np.array(atlas.centres, np.float64) * units
         constant = np.maximum(np.abs(low - centres), np.abs(high - centres))
         constant[atlas.planes] = 0
@@ -152,6 +150,6 @@ class ErrorModel:
 
 
 def _round_up(error: float) -> float:
-    """The least number of DIGITS significant digits that is no less."""
+    """Return the least number of DIGITS significant digits that is no less."""
     shown = Decimal(float(error))
     return float(shown.quantize(Decimal(1).scaleb(shown.adjusted() - DIGITS + 1), ROUND_CEILING)) if error else 0.0

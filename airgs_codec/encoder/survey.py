@@ -79,7 +79,7 @@ class Survey:
         return RowPruning(self.checks, self.importance, self.errors, self.renderer)
 
     def score(self, name: str) -> NDArray[np.float64]:
-        """(N,) one of `beside.MEASURES`: what ranks Gaussians for keyframe tiers."""
+        """Return (N,) one of `beside.MEASURES`: what ranks Gaussians for keyframe tiers."""
         return self.importance if name == "importance" else self.usage.measure(name)
 
     def needed(self, allowed: float | None) -> WrittenRows:

@@ -149,7 +149,7 @@ def build_manifest(
 
 
 def add_sound(m: Manifest, track: SoundTrack) -> tuple[Manifest, dict[str, bytes]]:
-    """The tables of a package with sound, and its files by their paths."""
+    """Return the tables of a package with sound, and its files by their paths."""
     files = {SOUND_INIT_NAME: track.init}
     groups: list[Group] = []
     for number, group in enumerate(m.groups, 1):

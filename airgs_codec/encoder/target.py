@@ -48,7 +48,7 @@ class Metric:
 
     @property
     def falls(self) -> bool:
-        """Whether less of it is better, so that a goal asks for no more."""
+        """Return whether less of it is better, so that a goal asks for no more."""
         return self.name == "ΔE"
 
 
@@ -106,7 +106,7 @@ class Goal:
 
     @property
     def tolerance(self) -> float:
-        """Of a search; what tables round is no miss."""
+        """Return the tolerance of a search; what tables round is no miss."""
         return max(self.metric.tolerance, math.log1p(self.metric.rounding / self.value))
 
     def misses(self, got: float) -> float:
@@ -117,14 +117,14 @@ class Goal:
         return -share if self.metric.falls else share
 
     def got(self, misses: float) -> float:
-        """What misses the goal by so many tolerances."""
+        """Return the result that misses the goal by this number of tolerances."""
         if self.metric == PSNR:
             return self.value + misses * self.tolerance
         return self.value * math.exp((-misses if self.metric.falls else misses) * self.tolerance)
 
 
 def find_quality(goal: Goal, trial: Callable[[float], float], start: float) -> float:
-    """A quality factor at which `trial` gives what the goal asks for; the search begins at `start`.
+    """Return a quality factor at which `trial` gives what the goal asks for; the search begins at `start`.
 
     It is met to its tolerance, or as near as TRIALS trials came where some lie on both sides of it. The search steps by
     the metric's slope until two trials lie on both sides of the goal, then by regula falsi between the nearest two:
@@ -148,7 +148,7 @@ def find_quality(goal: Goal, trial: Callable[[float], float], start: float) -> f
 
 
 def _next_factor(seen: dict[float, float], slope: float) -> float:
-    """The next factor to try, from the misses of those tried; a positive miss asks for a larger factor."""
+    """Return the next factor to try, from the misses of those tried; a positive miss asks for a larger factor."""
     above = [f for f in seen if seen[f] > 0]
     below = [f for f in seen if seen[f] < 0]
     if above and below:
@@ -177,7 +177,9 @@ def search_quality(
     known = {part.number: surveys.get(part.number) or Survey.of(part, plan.views, renderer) for part in begins}
     settings = plan.settings
     trials: list[tuple[float, float]] = []
-    top = settings if goal.metric == SIZE else top_rung(settings)
+    top = settings
+    if goal.metric != SIZE:
+        top = replace(settings, levels=settings.levels[:1], keyframe_factors=settings.keyframe_factors[:1])
 
     def trial(factor: float) -> float:
         progress(f"trial {len(trials) + 1}: quality factor {factor:.3g}", 0, 1)
@@ -199,14 +201,10 @@ def search_quality(
     return settings.at(find_quality(goal, trial, settings.quality)), trials
 
 
-def top_rung(settings: EncodeSettings) -> EncodeSettings:
-    return replace(settings, levels=settings.levels[:1], keyframe_factors=settings.keyframe_factors[:1])
-
-
 def weigh_colours(
     settings: EncodeSettings, sequence: GaussianSequence, views: Views, renderer: Renderer
 ) -> EncodeSettings:
-    """Settings that code colours along the directions that CIEDE2000 tells apart, each as finely as it is seen.
+    """Return settings that code colours along the directions that CIEDE2000 tells apart, each as finely as it is seen.
 
     Pictures that decide say how ΔE grows with errors. Steps grow so that bytes stay about the same, and no entry of the
     colour transform leaves -1..1.
@@ -230,13 +228,13 @@ def weigh_colours(
 
 
 def as_if_measured(m: Manifest) -> Manifest:
-    """The tables with a quality that takes about as many bytes as one that is measured."""
+    """Return the tables with a quality that takes about as many bytes as one that is measured."""
     shown = [Difference(mse, 0.9876, 0.54) for mse in (1.2e-4, 3.4e-4)]
     rungs = itertools.product(range(len(m.levels)), range(len(m.qualities)))
     return with_quality(m, [Seen([0, 0], dict.fromkeys(rungs, shown))])
 
 
 def kilobytes_a_frame(m: Manifest) -> float:
-    """All that a viewer of the top rung fetches, with all tables and manifest.mpd."""
+    """Return all that a viewer of the top rung fetches, with all tables and manifest.mpd."""
     tables = len(pack_json(root_of(m))) + len(write_mpd(m)) + m.bytes_of(m.table_files())
     return (m.bytes_of(m.rung_files(m.levels[0].quality, 0)) + tables) / m.frames / 1e3

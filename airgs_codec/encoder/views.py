@@ -36,7 +36,7 @@ from airgs_codec.scene.camera import cameras_from, resized, training_views
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
-CHECKED = 16  # pictures besides those that decide, which show what leaving something out would do
+CHECKED = 16  # other pictures than those that decide, which show what leaving something out would do
 DECISION_PIXELS = 200_000  # of a picture that decides: larger ones are made smaller
 SMALL_PIXELS = 110_000  # of pictures that are at most as large, twice as many decide
 LOOKED_AT = 3  # frames, where no camera is given
@@ -58,7 +58,7 @@ class Views:
 
     @property
     def scale(self) -> float:
-        """How far away what is looked at mostly is, over what it is in scenes that default steps are made for."""
+        """Return the median distance to what is looked at, as a multiple of DISTANCE, for which steps are made."""
         places = ((np.array(place.position), np.array(place.focus)) for place in self.region.places)
         return float(np.median([np.linalg.norm(focus - position) for position, focus in places])) / DISTANCE
 
@@ -68,18 +68,18 @@ class Views:
         return [resized(camera, share) for camera in self._drawn(DECIDING)]
 
     def measuring(self, sequence: GaussianSequence) -> list[Camera]:
-        """The views that measure: of a region without extent the held-out cameras of the sequence, if it has any."""
+        """Return the views that measure; of a region without extent the held-out cameras, if there are any."""
         point = self.region.turn == 0 and all(place.reach == 0 for place in self.region.places)
         held_out = [camera for camera in sequence.cameras if camera.held_out] if point else []
         return held_out or self._drawn(MEASURING)
 
     def decide(self, frames: range, groups: int = 1) -> Pictures:
-        """Pictures that decide about the frames of so many groups."""
+        """Return pictures that decide about the frames of `groups` groups."""
         cameras = self.deciding[: self.decided] + self.deciding[self.decided + CHECKED :]
         return _spread(frames, cameras[: round(self.decided * groups**0.5)])
 
     def check(self, frames: range) -> Pictures:
-        """Pictures from other views, which show what leaving something out would do.
+        """Return pictures from other views, which show what leaving something out would do.
 
         In the views that rank Gaussians, the errors of leaving out the lowest ones look smaller than they are.
         """
@@ -91,7 +91,7 @@ class Views:
 
 
 def _spread(frames: range, cameras: Sequence[Camera]) -> Pictures:
-    """Each camera with a frame, the frames evenly spaced and taking turns; those of one frame follow each other."""
+    """Return each camera with one of evenly spaced frames, in their order."""
     picked = [frames[place] for place in evenly_spaced(len(frames), len(cameras))]
     return sorted(zip(itertools.cycle(picked), cameras, strict=False), key=lambda view: view[0])
 
@@ -135,14 +135,13 @@ def choose_views(
 
 
 def _blind(region: Region, seed: int, frame: Gaussians, renderer: Renderer) -> tuple[int, ...]:
-    """The numbers of the draws that show nothing of a frame."""
     drawn = draw_views(region, DRAWS, seed)
     seen = {id(camera) for camera in seeing(drawn, frame, renderer)}
     return tuple(number for number, camera in enumerate(drawn) if id(camera) not in seen)
 
 
 def _cameras_of(sequence: GaussianSequence, middle: Gaussians, renderer: Renderer) -> tuple[list[Camera], list[str]]:
-    """The cameras of a sequence that see something of it, none where they are of another scene, and what is to say."""
+    """Return the cameras of a sequence that see something of it, and notes; none where they are of another scene."""
     if not sequence.cameras:
         return [], []
     path, notes = sequence.cameras_path, []
