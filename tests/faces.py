@@ -38,7 +38,7 @@ from airgs_codec.analysis.region import region_around
 from airgs_codec.encoder.settings import INTER, INTRA, EncodeSettings, LevelSettings, as_in_paper, as_preview
 from airgs_codec.encoder.survey import Frames, Survey
 from airgs_codec.encoder.layout import GroupLayout, lay_out
-from airgs_codec.encoder.views import Views, choose_views
+from airgs_codec.encoder.views import SceneViews, choose_views
 from airgs_codec.encoder.target import DELTA_E, Goal, PSNR, SIZE
 from airgs_codec.encoder.decide import decide
 from airgs_codec.encoder.plan import Choice, Plan

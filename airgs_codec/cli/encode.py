@@ -40,7 +40,7 @@ from airgs_codec.encoder.decide import decide as make_plan
 from airgs_codec.encoder.live import PublishedGroup, follow
 from airgs_codec.encoder.order import hold_frames
 from airgs_codec.encoder.plan import Plan
-from airgs_codec.encoder.publish import ENDING, EncodeReport
+from airgs_codec.encoder.publish import PACKAGE_ENDING, EncodeReport
 from airgs_codec.encoder.publish import encode as publish
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings, as_in_paper, as_preview
 from airgs_codec.encoder.target import DELTA_E, PSNR, SIZE, Goal
@@ -111,8 +111,8 @@ def encode(options: Encode) -> int:
     _goal(options, 1)  # refuses impossible goals before any work
     expect_report(options.report)
     place = options.scene.rstrip("/") if is_address(options.scene) else Path(options.scene).resolve()
-    target = options.output or f"{place}{ENDING}"
-    expect_folder_name(target, ENDING)
+    target = options.output or f"{place}{PACKAGE_ENDING}"
+    expect_folder_name(target, PACKAGE_ENDING)
     if options.follow:
         return _follow(options, settings, plan, target)
     quiet = options.json or options.plan is True

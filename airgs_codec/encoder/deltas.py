@@ -26,11 +26,11 @@ from airgs_codec.encoder.plan import Plan
 from airgs_codec.encoder.sample import LEAST_SLOPED, fit_slopes
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.streams import (
-    EMPTY,
+    NO_PICTURES,
     AtlasPictures,
-    Clock,
+    CodedPictures,
     ErrorModel,
-    Representation,
+    FrameClock,
     encode_checked,
     in_threads,
 )
@@ -57,7 +57,7 @@ def code_deltas(
     bases: Sequence[Canonical],
     frames: Sequence[Gaussians],
     plan: Plan,
-    clock: Clock,
+    clock: FrameClock,
     scratch: Path,
 ) -> CodedDeltas:
     """Quantise the deltas of a group for every pruning level; `frames` are all of the group, with all input rows.
@@ -123,9 +123,9 @@ def rank_deltas(
     return score, moving, largest
 
 
-def _encode_level(layout: GroupLayout, level: CodedLevel, clock: Clock, codec: CodecSettings) -> Representation:
+def _encode_level(layout: GroupLayout, level: CodedLevel, clock: FrameClock, codec: CodecSettings) -> CodedPictures:
     if level.samples is None:
-        return EMPTY
+        return NO_PICTURES
     gops, segments = [], zip(layout.local_segments, layout.segments, level.escapes, level.slopes, strict=True)
     for part, (start, _), escaped, slope in segments:
         if escaped is not None:
@@ -162,7 +162,7 @@ class CodedLevel:
     samples: StoredSamples | None  # None: no segment is fetched
     escapes: tuple[bytes | None, ...]  # of each segment; None: nothing to fetch, the canonical space is shown
     slopes: tuple[CodedGop | None, ...]  # the picture of slopes of each segment; None: it has no slope
-    pictures: Representation = EMPTY  # a closed GOP for each segment that is fetched
+    pictures: CodedPictures = NO_PICTURES  # a closed GOP for each segment that is fetched
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,7 +173,7 @@ class CodedSlopes:
     bases: NDArray[np.int32]  # (P, n)
 
     @staticmethod
-    def of(codes: NDArray[np.int32], atlas: Atlas, clock: Clock, codec: CodecSettings) -> CodedSlopes:
+    def of(codes: NDArray[np.int32], atlas: Atlas, clock: FrameClock, codec: CodecSettings) -> CodedSlopes:
         """Code (P, n) codes of slopes. Raises CodecError."""
         samples, bases = escapes.split(codes[None])
         pictures = AtlasPictures.of(samples, atlas)
@@ -199,7 +199,7 @@ class LevelCoder:
     fetched: Sequence[slice | None]  # frames of each segment; None: nothing is to be fetched
     sloped: bool  # segments have slopes
     file: Path  # for samples
-    clock: Clock
+    clock: FrameClock
     codec: CodecSettings
 
     def code(self, omitted: NDArray[np.bool_]) -> CodedLevel:

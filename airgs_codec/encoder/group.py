@@ -19,7 +19,7 @@ from airgs_codec.encoder.deltas import code_deltas
 from airgs_codec.encoder.keyframes import CodedKeyframe, code_keyframe
 from airgs_codec.encoder.layout import error_with, lay_out, lay_out_again
 from airgs_codec.encoder.plan import Plan
-from airgs_codec.encoder.streams import Clock
+from airgs_codec.encoder.streams import FrameClock
 from airgs_codec.encoder.survey import Frames, Survey
 from airgs_codec.encoder.tables import GroupFiles, finish_group
 from airgs_codec.errors import SceneError
@@ -66,7 +66,7 @@ def encode_group(
     with naming_farthest(frames):
         coded, base = _code_keyframe(frames, loaded, plan, None if frames.begins else base, survey)
     with tempfile.TemporaryDirectory(prefix="airgs-") as scratch, naming(Path(scratch)), naming_farthest(frames):
-        clock = Clock.of(frames.sequence.fps)
+        clock = FrameClock.of(frames.sequence.fps)
         deltas = code_deltas(coded.layout, coded.decoded, loaded.frames, plan, clock, Path(scratch))
         return finish_group(coded, deltas, frames.first_segment), base
 
@@ -75,7 +75,7 @@ def _code_keyframe(
     frames: Frames, loaded: Repaired, plan: Plan, base: Base | None, survey: Survey | None
 ) -> tuple[CodedKeyframe, Base]:
     """Code a keyframe by its difference to the base, or by itself where there is none or it saves too little."""
-    settings, views, clock = plan.settings, plan.views, Clock.of(frames.sequence.fps)
+    settings, views, clock = plan.settings, plan.views, FrameClock.of(frames.sequence.fps)
     allowed, written = settings.row_error if views.trusted else None, None
     if base is not None:
         known = base.coded.layout

@@ -22,11 +22,11 @@ from airgs_codec.encoder.layout import GroupLayout
 from airgs_codec.encoder.omit import KeyframeOmissions
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.streams import (
-    EMPTY,
+    NO_PICTURES,
     AtlasPictures,
-    Clock,
+    CodedPictures,
     ErrorModel,
-    Representation,
+    FrameClock,
     encode_checked,
     in_threads,
 )
@@ -47,7 +47,7 @@ class CodedTier:
     samples: NDArray[np.uint8]  # (P, n) luma
     detail: bytes  # of positions, and escapes; empty where all of it is 0
     error: ErrorModel | None  # None: there are no rows
-    pictures: Representation = EMPTY
+    pictures: CodedPictures = NO_PICTURES
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +76,7 @@ class CodedKeyframe:
 
 
 def code_keyframe(
-    layout: GroupLayout, settings: EncodeSettings, clock: Clock, base: Sequence[Canonical] = ()
+    layout: GroupLayout, settings: EncodeSettings, clock: FrameClock, base: Sequence[Canonical] = ()
 ) -> CodedKeyframe:
     """Code the keyframe of a group in every tier and keyframe quality.
 

@@ -22,7 +22,7 @@ from airgs_codec.coding.motion import channel_weights, classify_motion, share_cl
 from airgs_codec.coding.sidecar import KeyframeSidecar, fit_grid, grid_codes
 from airgs_codec.encoder.settings import DEFAULT_TIERS, EncodeSettings
 from airgs_codec.encoder.survey import Frames, Span, Survey
-from airgs_codec.encoder.views import Pictures, Views
+from airgs_codec.encoder.views import Pictures, SceneViews
 from airgs_codec.package.layout import DELTA, KEYFRAME, Layout
 from airgs_codec.package.tables import STATIC, DeltaSteps, Grid, KeyframeSteps, difference_steps
 from airgs_codec.render.backend import Renderer
@@ -114,7 +114,7 @@ class GroupLayout:
 
 
 def lay_out(
-    loaded: Repaired, frames: Frames, survey: Survey, written: WrittenRows, views: Views, settings: EncodeSettings
+    loaded: Repaired, frames: Frames, survey: Survey, written: WrittenRows, views: SceneViews, settings: EncodeSettings
 ) -> GroupLayout:
     """Decide order, tiers, steps and transforms of a group; of its frames, `loaded`, some rows are `written`."""
     steps = settings.steps.scaled(settings.quality)
@@ -163,7 +163,7 @@ def lay_out_again(
     base: GroupLayout,
     survey: Survey,
     error: float,
-    views: Views,
+    views: SceneViews,
     settings: EncodeSettings,
 ) -> GroupLayout:
     """Lay out a group by the Gaussians of an earlier one, `base`, against which its keyframe is coded.
@@ -184,7 +184,12 @@ def lay_out_again(
 
 
 def error_with(
-    base: GroupLayout, loaded: Repaired, survey: Survey, written: WrittenRows, views: Views, settings: EncodeSettings
+    base: GroupLayout,
+    loaded: Repaired,
+    survey: Survey,
+    written: WrittenRows,
+    views: SceneViews,
+    settings: EncodeSettings,
 ) -> float | None:
     """Return the mean squared error of pictures of a group, of which some rows are `written`, with those of an earlier
     one.
@@ -219,7 +224,7 @@ def _coarseness(classes: NDArray[np.int16], sensitivity: Sensitivity, keyframe: 
     return errors[0] / errors[1] if errors[1] else 1.0
 
 
-def _of_frames(loaded: Repaired, frames: Frames, views: Views, settings: EncodeSettings) -> dict[str, Any]:
+def _of_frames(loaded: Repaired, frames: Frames, views: SceneViews, settings: EncodeSettings) -> dict[str, Any]:
     """Return the fields of a layout that only depend on which frames a group has."""
     own = range(frames.start, frames.stop)
     return {

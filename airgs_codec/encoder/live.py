@@ -36,8 +36,8 @@ from airgs_codec.progress import Progress, silent
 from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder
 
-POLL_S = 0.2  # between two looks at the folder
-REMEMBERED = 64  # groups whose pictures rate the whole package, evenly spread: a package may grow for days
+LOOK_S = 0.2  # between two looks at the folder
+RATED_GROUPS = 64  # groups whose pictures rate the whole package, evenly spread: a package may grow for days
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +104,7 @@ class _Publisher:
         rated = with_quality(m, [*self._seen, found], newest=self.package is not None)
         if newest % self._every == 0:
             self._seen.append(found)
-        if len(self._seen) == REMEMBERED:
+        if len(self._seen) == RATED_GROUPS:
             self._seen, self._every = self._seen[::2], 2 * self._every
         return rated
 
@@ -179,7 +179,7 @@ def _whole_groups(
                 yield sequence, start, stop
                 at = stop
         if not done:
-            time.sleep(POLL_S)
+            time.sleep(LOOK_S)
     if left:
         raise ConfigError(f"plan: expected a sequence of at least {left[-1][0][1]} frames, got {count}")
     folder.check_finished()

@@ -18,7 +18,7 @@ import numpy as np
 
 from airgs_codec.coding.channels import Canonical
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
-from airgs_codec.encoder.views import Views
+from airgs_codec.encoder.views import SceneViews
 from airgs_codec.media.metrics import Difference, Picture, low_psnr, psnr
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.package import Package
@@ -44,7 +44,7 @@ class Seen:
 
 
 def measure(
-    package: Package, sequence: GaussianSequence, views: Views, renderer: Renderer, most: int, segments: range
+    package: Package, sequence: GaussianSequence, views: SceneViews, renderer: Renderer, most: int, segments: range
 ) -> Seen:
     """Measure the rungs of some segments in up to `most` pictures, against the original frames after repairs."""
     m, cameras = package.manifest, views.measuring(sequence)

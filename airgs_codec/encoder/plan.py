@@ -13,7 +13,7 @@ from airgs_codec.analysis.grouping import closed_groups, count_changes
 from airgs_codec.encoder.layout import split_segments
 from airgs_codec.encoder.settings import INTRA, EncodeSettings
 from airgs_codec.encoder.survey import Frames, Span
-from airgs_codec.encoder.views import Views
+from airgs_codec.encoder.views import SceneViews
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.parse import as_plain, read_as
 from airgs_codec.scene.sequence import GaussianSequence
@@ -36,7 +36,7 @@ class Plan:
     """How a sequence is encoded: what an encode does follows from its frames and its plan alone."""
 
     settings: EncodeSettings  # with the steps and pruning levels of the scene: nothing is left to choose in them
-    views: Views
+    views: SceneViews
     sh_degree: int  # SH bands above it are left out
     sloped: bool  # segments have slopes: what Gaussians change by, evenly, is a picture of its own
     run: int  # most groups of a run, whose first keyframe is chosen for all; 0: any number, it is chosen for its group

@@ -39,8 +39,8 @@ from airgs_codec.render.backend import Renderer, open_renderer
 from airgs_codec.scene.camera import with_pixels
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
-ENDING = ".airgs"  # of the names of packages, which may have none
-VERSION = 1  # of what `encode_run` gives for the same frames and plan: stored results of others are made again
+PACKAGE_ENDING = ".airgs"  # of the names of packages, which may have none
+RUN_VERSION = 1  # of what `encode_run` gives for the same frames and plan: stored results of others are made again
 POSTER_QUALITIES = (90, 80, 70, 60, 50, 40, 30)  # of JPEG; a worse picture is made smaller instead
 
 
@@ -97,7 +97,7 @@ def encode(
         argument("goal", goal, Goal, "a Goal")
         if plan is not None:
             raise ConfigError("goal: expected none with a plan, whose quality is chosen")
-    expect_folder_name(path_argument("path", path), ENDING)
+    expect_folder_name(path_argument("path", path), PACKAGE_ENDING)
     jobs, sequence = Work.of(executor, work, told(progress)), hold_frames(sequence)
     with staged_package(place_at(path)) as stage, closing(sequence):
         watch, place = Stopwatch(), Folder(stage)
@@ -133,7 +133,7 @@ def encode_groups(
         return
     runs = list(plan.runs(sequence))
     contents = [content_of(run, plan) for run in runs] if jobs.store else None
-    for place, encoded in jobs.map("encoding", encode_run, [(run, plan) for run in runs], contents, VERSION):
+    for place, encoded in jobs.map("encoding", encode_run, [(run, plan) for run in runs], contents, RUN_VERSION):
         yield from zip((frames.number for frames in runs[place]), encoded, strict=True)
 
 

@@ -32,7 +32,7 @@ from airgs_codec.encoder.layout import GroupLayout, assign_depths, lay_out, rank
 from airgs_codec.encoder.sample import CalibrationSample, Cost, block_rows
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings, Shares
 from airgs_codec.encoder.survey import Frames, Survey
-from airgs_codec.encoder.views import Views
+from airgs_codec.encoder.views import SceneViews
 from airgs_codec.errors import SceneError
 from airgs_codec.media.metrics import Picture
 from airgs_codec.package.layout import DELTA
@@ -43,14 +43,14 @@ from airgs_codec.scene.gaussians import Gaussians, mix_rows
 
 SAMPLE_BLOCKS = 150  # of rows, over all frames of the sample together
 FEWEST_BLOCKS = 5  # in a frame
-MOST_FRAMES = 32
+SAMPLE_FRAMES = 32
 LEAK = 0.3  # share of CODING_VARIANCE that a channel gets from its neighbours when nothing in it is worth coding
 
 SLOPE = 0.5  # of the bytes: what steps e times as large save, of fox and spinach
 TRIAL = 1.5  # factor between the two steps at which bytes and error are measured
 PRIOR = 0.02  # share of all bytes and error that every step has at least: a step without effect hardly moves
 # The attribute whose planes are coded anew when a step changes.
-STEPS = {
+STEP_CHANNELS = {
     **{f"keyframe.{name}": "colour" if name.startswith("sh_") else name for name in KEYFRAME_ATTRIBUTES},
     "grid": "means",
     **{f"delta.{name}": "colour" if name.startswith("sh_") else name for name in DELTA_ATTRIBUTES},
@@ -59,14 +59,14 @@ STEPS = {
 Slope = tuple[float, float]
 # Of each level: the factor on every step, its keyframe quality. A rung costs what a package with only that rung would:
 # all steps grow alike, and with their square the price of a byte.
-LEVELS = ((1.0, 0), (1.8, 1), (3.2, 1), (5.8, 2))
+LADDER = ((1.0, 0), (1.8, 1), (3.2, 1), (5.8, 2))
 TIERS = (0.6, 0.25, 0.15)  # of the rows: each has its own keyframe steps. More cost more positions than they save steps
 FACTORS = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0)  # on the steps, for which a share is chosen
 SHARES = (0.0, 0.2, 0.4, 0.6, 0.75, 0.87)  # of the updates that a level withholds, tried
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Subject:
+class TrialGroup:
     """The group that trial encodes are made of, laid out at quality 1."""
 
     frames: Sequence[Gaussians]  # all of the group, with all input rows
@@ -75,15 +75,15 @@ class Subject:
     settings: EncodeSettings
 
     @staticmethod
-    def of(frames: Frames, survey: Survey, views: Views, settings: EncodeSettings) -> Subject:
+    def of(frames: Frames, survey: Survey, views: SceneViews, settings: EncodeSettings) -> TrialGroup:
         loaded = turn_least(frames.sequence.load(range(frames.start, frames.stop)))
         written = survey.needed(settings.row_error if views.trusted else None)
-        return Subject(loaded.frames, lay_out(loaded, frames, survey, written, views, settings), survey, settings)
+        return TrialGroup(loaded.frames, lay_out(loaded, frames, survey, written, views, settings), survey, settings)
 
     def sample(self, fps: float) -> CalibrationSample:
         """Return blocks spread over all rows, in the frames of the first segment: P and B pictures settle in them."""
         layout, settings = self.layout, self.settings
-        segment = min(len(self.frames), MOST_FRAMES, max(1, int(settings.segment_s * fps)))
+        segment = min(len(self.frames), SAMPLE_FRAMES, max(1, int(settings.segment_s * fps)))
         index = block_rows(len(layout.rows), max(FEWEST_BLOCKS, SAMPLE_BLOCKS // segment))
         index = index[layout.wider[index] == 0]  # what is far from all else tells nothing of it
         sample = CalibrationSample(
@@ -112,7 +112,7 @@ class Subject:
         return replace(sample, moving=moving).with_slopes(deltas, settings.steps)
 
 
-def solve_steps(sample: CalibrationSample, subject: Subject) -> tuple[StepSettings, float, float]:
+def solve_steps(sample: CalibrationSample, subject: TrialGroup) -> tuple[StepSettings, float, float]:
     """Return steps of one price that together make the error that `subject.settings.steps` make, the price, and the
     bytes a frame that they save, by the slopes. Raises SceneError as `balance`.
     """
@@ -141,7 +141,7 @@ def balance(slopes: Mapping[str, Slope]) -> tuple[dict[str, float], float]:
     return {name: (m / b) ** 0.5 for name, (m, b) in shares.items()}, 2 * error / rate
 
 
-def guess_price(sample: CalibrationSample, subject: Subject) -> float:
+def guess_price(sample: CalibrationSample, subject: TrialGroup) -> float:
     """Return the price of a byte at the steps of `subject.settings`, from one trial encode.
 
     Error grows with the square of the steps, bytes fall with their logarithm at about SLOPE of what they are.
@@ -150,7 +150,7 @@ def guess_price(sample: CalibrationSample, subject: Subject) -> float:
     return 2 * (cost.keyframe_error + cost.delta_error + subject.layout.removal_error) / (SLOPE * cost.bytes)
 
 
-def measure_slopes(sample: CalibrationSample, subject: Subject) -> dict[str, Slope]:
+def measure_slopes(sample: CalibrationSample, subject: TrialGroup) -> dict[str, Slope]:
     """Slopes of every step, and of what leaving out rows may err where some are."""
     slopes = measure_step_slopes(sample, subject.settings.steps, subject.settings.threads)
     return slopes if subject.layout.removal_error == 0 else {**slopes, "rows": _row_slope(sample, subject)}
@@ -158,10 +158,10 @@ def measure_slopes(sample: CalibrationSample, subject: Subject) -> dict[str, Slo
 
 def measure_step_slopes(sample: CalibrationSample, steps: StepSettings, threads: int) -> dict[str, Slope]:
     """Slopes of every step of quantisers, from trial encodes a factor TRIAL finer and coarser."""
-    names = [n for n in STEPS if sample.keyframe.sh_rest.shape[1] or not n.endswith("sh_rest")]
+    names = [n for n in STEP_CHANNELS if sample.keyframe.sh_rest.shape[1] or not n.endswith("sh_rest")]
 
     def trial(name: str, factor: float) -> Cost:
-        return sample.cost(with_step(steps, name, get_step(steps, name) * factor), (STEPS[name],))
+        return sample.cost(with_step(steps, name, get_step(steps, name) * factor), (STEP_CHANNELS[name],))
 
     with ThreadPoolExecutor(threads) as pool:
         finer = list(pool.map(trial, names, itertools.repeat(1 / TRIAL)))
@@ -173,7 +173,7 @@ def measure_step_slopes(sample: CalibrationSample, steps: StepSettings, threads:
     return slopes
 
 
-def _row_slope(sample: CalibrationSample, subject: Subject) -> Slope:
+def _row_slope(sample: CalibrationSample, subject: TrialGroup) -> Slope:
     """Return the slope of the error that leaving out rows may make, from what TRIAL times as much would save."""
     steps = subject.settings.steps
     remaining = subject.survey.pruning.within(steps.rows * TRIAL)
@@ -183,9 +183,9 @@ def _row_slope(sample: CalibrationSample, subject: Subject) -> Slope:
 
 
 def choose_levels(
-    sample: CalibrationSample, subject: Subject, steps: StepSettings, price: float
+    sample: CalibrationSample, subject: TrialGroup, steps: StepSettings, price: float
 ) -> tuple[LevelSettings, ...]:
-    """Return the levels of LEVELS, which withhold nothing yet, each with as many keyframe tiers as are worth their
+    """Return the levels of LADDER, which withhold nothing yet, each with as many keyframe tiers as are worth their
     bytes to it.
 
     What pictures miss without the others is rendered. `price` is that of a byte a frame at factor 1.
@@ -197,7 +197,7 @@ def choose_levels(
     parts = [sample.take(own[sample.index] < count) for count in counts]
     most = len(layout.factors)
     levels: list[LevelSettings] = []
-    for factor, quality in LEVELS:
+    for factor, quality in LADDER:
         if levels and missing:
             sizes = [part.code_keyframe(steps, factor)[0] for part in parts[:most]]
             costs = [error + factor**2 * price * size for error, size in zip(missing, sizes, strict=False)]
@@ -208,8 +208,8 @@ def choose_levels(
 
 def keyframe_factors() -> tuple[float, ...]:
     """Return the factor of each keyframe quality: the geometric mean of its levels' factors, to four digits."""
-    qualities = sorted({quality for _, quality in LEVELS})
-    means = [np.exp(np.mean([np.log(f) for f, q in LEVELS if q == quality])) for quality in qualities]
+    qualities = sorted({quality for _, quality in LADDER})
+    means = [np.exp(np.mean([np.log(f) for f, q in LADDER if q == quality])) for quality in qualities]
     return tuple(float(f"{mean:.4g}") for mean in means)
 
 
@@ -221,7 +221,7 @@ class Withholding:
     errors: tuple[float, ...]  # rendered, of withholding each of SHARES of the updates, and those of static rows
 
     @staticmethod
-    def of(subject: Subject) -> Withholding:
+    def of(subject: TrialGroup) -> Withholding:
         """Rank the updates of all rows and render without the lowest ones."""
         canonical, rows, pictures = subject.layout.keyframe, subject.layout.rows, subject.layout.pictures
         frames = [subject.frames[t].take(rows) for t, _ in pictures]
@@ -279,7 +279,7 @@ def choose_shares(
     return tuple(shares)
 
 
-def _rank(subject: Subject, frames: Sequence[Gaussians]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _rank(subject: TrialGroup, frames: Sequence[Gaussians]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Rank the updates of all N Gaussians; `frames` are the canonical one and those that are ranked."""
     layout, rank = subject.layout, subject.settings.update_rank
     channels = keyframe_channels(frames[0], layout.transform, layout.keyframe_steps, layout.grid.unit).astype(
@@ -295,7 +295,7 @@ def _rank(subject: Subject, frames: Sequence[Gaussians]) -> tuple[NDArray[np.flo
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FoundSteps:
     """What a scene asks for."""
 
     settings: EncodeSettings  # nothing is left to choose in them
@@ -303,7 +303,7 @@ class Found:
     saved: float  # bytes a frame of the top level that the steps save at equal error, by the slopes of the trials
 
 
-def find_steps(frames: Frames, survey: Survey, views: Views, settings: EncodeSettings) -> Found:
+def find_steps(frames: Frames, survey: Survey, views: SceneViews, settings: EncodeSettings) -> FoundSteps:
     """Find steps and, where the settings ask for them, pruning levels, on one group; at quality 1, from their steps on.
 
     Which share of the updates the top level withholds is estimated first, since the delta bytes that steps are solved
@@ -312,7 +312,7 @@ def find_steps(frames: Frames, survey: Survey, views: Views, settings: EncodeSet
     ladder = settings.calibrate == "ladder"
     tiers = TIERS if ladder else settings.tiers
     once = replace(settings, quality=1.0, calibrate="none", tiers=tiers)
-    subject = Subject.of(frames, survey, views, once)
+    subject = TrialGroup.of(frames, survey, views, once)
     sample, withholding = subject.sample(float(frames.sequence.fps)), Withholding.of(subject)
     top = sample
     if ladder:
@@ -326,4 +326,4 @@ def find_steps(frames: Frames, survey: Survey, views: Views, settings: EncodeSet
         levels = choose_levels(top, subject, steps, price) if shares else (LevelSettings(0.0),)
         factors = keyframe_factors() if shares else (1.0,)
         chosen = replace(chosen, levels=levels, tiers=TIERS, keyframe_factors=factors, shares=shares)
-    return Found(chosen.at(settings.quality), sample.sloped, saved)
+    return FoundSteps(chosen.at(settings.quality), sample.sloped, saved)

@@ -2,8 +2,8 @@
 
 The largest error of an attribute has the codec in it, and the units of its channels. A sample that was sent as code c
 for value v, |v - c s| <= s / 2 with s = step * factor / gain, and decoded d luma levels off, is off by at most
-(1/2 + d) s. Codes stay whole numbers through the decoder, and two roundings to float32 (code * s) add at most ROUNDING
-of the value. T frames, P planes, n rows.
+(1/2 + d) s. Codes stay whole numbers through the decoder, and two roundings to float32 (code * s) add at most
+FLOAT_ROUNDING of the value. T frames, P planes, n rows.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ from airgs_codec.package.tables import Atlas
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-ROUNDING = 2.0**-22
+FLOAT_ROUNDING = 2.0**-22
 DIGITS = 3  # of a bound, which is rounded up to them
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class FrameClock:
     fps: Fraction  # frames a second
     timescale: int  # ticks a second, at least 1000
     frame_ticks: int  # ticks a frame
 
     @staticmethod
-    def of(fps: Fraction) -> Clock:
+    def of(fps: Fraction) -> FrameClock:
         """Return a clock in which a frame takes a whole number of ticks."""
         factor = 1 if fps.numerator >= 1000 else 1000
-        return Clock(fps, fps.numerator * factor, fps.denominator * factor)
+        return FrameClock(fps, fps.numerator * factor, fps.denominator * factor)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +69,7 @@ class AtlasPictures:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Representation:
+class CodedPictures:
     """The coded pictures of a keyframe tier in a keyframe quality, or of a level, of one group."""
 
     gops: tuple[CodedGop, ...]  # none: there is nothing to show
@@ -83,19 +83,19 @@ class Representation:
         return replace(atlas, max_error=errors, width=width, height=height)
 
 
-EMPTY = Representation((), (0, 0), ())
+NO_PICTURES = CodedPictures((), (0, 0), ())
 
 
 def encode_checked(
-    gops: Iterable[ClosedGop], size: tuple[int, int], clock: Clock, codec: CodecSettings
-) -> Representation:
+    gops: Iterable[ClosedGop], size: tuple[int, int], clock: FrameClock, codec: CodecSettings
+) -> CodedPictures:
     """Encode closed GOPs one by one, decode each again and compare. Raises CodecError."""
     checked = [_encode_checked(gop, size, clock, codec) for gop in gops]
-    return Representation(tuple(coded for coded, _ in checked), size, tuple(decoded for _, decoded in checked))
+    return CodedPictures(tuple(coded for coded, _ in checked), size, tuple(decoded for _, decoded in checked))
 
 
 def _encode_checked(
-    gop: ClosedGop, size: tuple[int, int], clock: Clock, codec: CodecSettings
+    gop: ClosedGop, size: tuple[int, int], clock: FrameClock, codec: CodecSettings
 ) -> tuple[CodedGop, NDArray[np.uint8]]:
     """Return a coded GOP and its (pages * H, W) largest luma error. Raises CodecError.
 
@@ -144,7 +144,7 @@ class ErrorModel:
         for picture in differences:
             off = np.maximum(off, extract(picture, atlas).max(axis=1))
         errors[atlas.planes] = np.maximum(self.units / 2, self.held)[atlas.planes] + off * self.units[atlas.planes]
-        errors += ROUNDING * self.largest
+        errors += FLOAT_ROUNDING * self.largest
         places = layout.attribute_index(len(errors))
         return [_round_up(errors[places == k].max()) for k in range(int(places.max()) + 1)]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.analysis.importance import RowPruning, WrittenRows, importance
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
-from airgs_codec.encoder.views import Pictures, Views
+from airgs_codec.encoder.views import Pictures, SceneViews
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.beside import Usage
@@ -22,7 +22,7 @@ from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
 Span = tuple[int, int]  # frames [start, stop)
-LARGEST = partial(np.max, axis=0)  # of each number in several columns
+MAXIMUM = partial(np.max, axis=0)  # of each number in several columns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +61,7 @@ class Survey:
     errors: dict[int, float] = field(default_factory=dict)  # Gaussians left out -> error that `checks` have shown
 
     @staticmethod
-    def of(frames: Frames, views: Views, renderer: Renderer) -> Survey:
+    def of(frames: Frames, views: SceneViews, renderer: Renderer) -> Survey:
         """Look at a group and those that its keyframe is chosen for; usage is the trainer's where that is known."""
         sequence, seen = frames.sequence, range(frames.start, frames.spans[-1][1])
         decide, check = views.decide(seen, len(frames.spans)), views.check(seen)
@@ -70,7 +70,7 @@ class Survey:
         usage, sensitivity = measure_views(_Pictures(loaded, decide), renderer)
         known = [sequence.usage(*span) for span in frames.spans]
         measured = [one for one in known if one is not None and len(one.peak) == len(usage.peak)]
-        usage = Usage.combined(measured, LARGEST) if len(measured) == len(known) else usage
+        usage = Usage.combined(measured, MAXIMUM) if len(measured) == len(known) else usage
         ranked = importance(list(loaded.values()), usage, sensitivity)
         return Survey(seen.stop, usage, sensitivity, ranked, _Pictures(loaded, check), renderer)
 
@@ -92,8 +92,8 @@ class Survey:
     def joined(self, other: Survey) -> Survey:
         """Give each Gaussian the most that either survey says of it."""
         ranked = np.maximum(self.importance, other.importance)
-        usage = Usage.combined([self.usage, other.usage], LARGEST)
-        sensitivity = Sensitivity.combined([self.sensitivity, other.sensitivity], LARGEST)
+        usage = Usage.combined([self.usage, other.usage], MAXIMUM)
+        sensitivity = Sensitivity.combined([self.sensitivity, other.sensitivity], MAXIMUM)
         return replace(self, usage=usage, sensitivity=sensitivity, importance=ranked, errors={})
 
 

@@ -10,8 +10,8 @@ from airgs_codec.coding.channels import pack_matrix
 from airgs_codec.encoder.deltas import CodedDeltas
 from airgs_codec.encoder.keyframes import CodedKeyframe
 from airgs_codec.encoder.plan import Plan
-from airgs_codec.encoder.streams import Clock
-from airgs_codec.encoder.views import CHECKED
+from airgs_codec.encoder.streams import FrameClock
+from airgs_codec.encoder.views import CHECK_PICTURES
 from airgs_codec.media.h264 import DELTA_QP, KEYFRAME_QP, library_versions, qp_step
 from airgs_codec.media.movie import SoundTrack
 from airgs_codec.media.mp4 import init_segment, sound_segment
@@ -109,7 +109,7 @@ def build_manifest(
     plan: Plan, sequence: GaussianSequence, attribution: str, groups: Sequence[Group], poster: bytes
 ) -> tuple[Manifest, dict[str, bytes]]:
     """Make the tables of a package of these groups, without measured quality, and the files that are no group's."""
-    settings, views, clock = plan.settings, plan.views, Clock.of(sequence.fps)
+    settings, views, clock = plan.settings, plan.views, FrameClock.of(sequence.fps)
     shared = {INIT_NAME: init_segment(clock.timescale, *largest_picture(groups)), POSTER_NAME: poster}
     decisions, differing = list(plan.notes), sum(group.base is not None for group in groups)
     if differing:
@@ -130,7 +130,7 @@ def build_manifest(
         world=views.world,
         origin=None if sequence.origin == ZERO else list(sequence.origin),
         poster=file_entry(poster),
-        views=tables.Views(views.decided + CHECKED, 0, "original" if settings.measure_pictures else "none"),
+        views=tables.Views(views.decided + CHECK_PICTURES, 0, "original" if settings.measure_pictures else "none"),
         qualities=[
             tables.KeyframeQuality(f"Q{q}", factor, coarser)
             for q, (factor, coarser) in enumerate(zip(settings.keyframe_factors, settings.coarser, strict=True))

@@ -18,7 +18,7 @@ from airgs_codec.encoder.plan import Plan
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import Survey
 from airgs_codec.encoder.tables import build_manifest
-from airgs_codec.encoder.views import Views
+from airgs_codec.encoder.views import SceneViews
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.metrics import PSNR_CAP, Difference, delta_e_metric
 from airgs_codec.package.manifest import Manifest
@@ -56,9 +56,9 @@ PSNR = Metric("PSNR", "dB", 0.1, -20 / math.log(10), PSNR_CAP, ", that of equal 
 DELTA_E = Metric("ΔE", "ΔE", 0.02, -0.6, 100.0, ", that of black and white", 0.01)
 SIZE = Metric("kB/frame", "kB", 0.01, -0.75)
 TRIALS = 8
-FACTORS = 0.01, 100.0  # least and largest quality factor that is tried
+QUALITY_RANGE = 0.01, 100.0  # least and largest quality factor that is tried
 
-FRAMES = 6  # of the sequence, whose colours tell which directions are seen
+COLOUR_FRAMES = 6  # of the sequence, whose colours tell which directions are seen
 LEAST_SEEN = 1e-3  # of the squared ΔE of an error along the direction that is seen best: along any other
 SAMPLE = 4  # groups, at most, from the first on, that trials encode
 TRIAL_PICTURES = 64  # that measure a trial at most, where the package itself is not measured
@@ -138,7 +138,7 @@ def find_quality(goal: Goal, trial: Callable[[float], float], start: float) -> f
         miss = seen[factor] = goal.misses(trial(factor))
         if abs(miss) <= 1:
             return factor
-        factor = min(max(_next_factor(seen, slope), FACTORS[0]), FACTORS[1])
+        factor = min(max(_next_factor(seen, slope), QUALITY_RANGE[0]), QUALITY_RANGE[1])
         if factor in seen:
             break
     best = min(seen, key=lambda f: abs(seen[f]))
@@ -202,7 +202,7 @@ def search_quality(
 
 
 def weigh_colours(
-    settings: EncodeSettings, sequence: GaussianSequence, views: Views, renderer: Renderer
+    settings: EncodeSettings, sequence: GaussianSequence, views: SceneViews, renderer: Renderer
 ) -> EncodeSettings:
     """Return settings that code colours along the directions that CIEDE2000 tells apart, each as finely as it is seen.
 
@@ -211,7 +211,7 @@ def weigh_colours(
     """
     colours = [
         draw_still(sequence.load([number]).frames[0], renderer)(number, camera).sampled.reshape(-1, 3)
-        for number, camera in zip(evenly_spaced(len(sequence), FRAMES), views.deciding, strict=False)
+        for number, camera in zip(evenly_spaced(len(sequence), COLOUR_FRAMES), views.deciding, strict=False)
     ]
     values, axes = np.linalg.eigh(delta_e_metric(np.concatenate(colours)))
     sizes = np.sqrt(np.maximum(values, LEAST_SEEN * values[-1]))

@@ -36,10 +36,10 @@ from airgs_codec.scene.camera import cameras_from, resized, training_views
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
-CHECKED = 16  # other pictures than those that decide, which show what leaving something out would do
+CHECK_PICTURES = 16  # other pictures than those that decide, which show what leaving something out would do
 DECISION_PIXELS = 200_000  # of a picture that decides: larger ones are made smaller
 SMALL_PIXELS = 110_000  # of pictures that are at most as large, twice as many decide
-LOOKED_AT = 3  # frames, where no camera is given
+SEARCHED_FRAMES = 3  # frames, where no camera is given
 DISTANCE = 3.0  # world units from which scenes of scale 1 are mostly looked at
 DRAWS = 240  # views that are drawn of each kind
 
@@ -47,7 +47,7 @@ Pictures = list[View]  # the number of a frame in the sequence, and a camera
 
 
 @dataclass(frozen=True)
-class Views:
+class SceneViews:
     """The viewing region of a scene, and how many views of it decide."""
 
     region: Region
@@ -75,7 +75,7 @@ class Views:
 
     def decide(self, frames: range, groups: int = 1) -> Pictures:
         """Return pictures that decide about the frames of `groups` groups."""
-        cameras = self.deciding[: self.decided] + self.deciding[self.decided + CHECKED :]
+        cameras = self.deciding[: self.decided] + self.deciding[self.decided + CHECK_PICTURES :]
         return _spread(frames, cameras[: round(self.decided * groups**0.5)])
 
     def check(self, frames: range) -> Pictures:
@@ -83,7 +83,7 @@ class Views:
 
         In the views that rank Gaussians, the errors of leaving out the lowest ones look smaller than they are.
         """
-        return _spread(frames, self.deciding[self.decided : self.decided + CHECKED])
+        return _spread(frames, self.deciding[self.decided : self.decided + CHECK_PICTURES])
 
     def _drawn(self, seed: int) -> list[Camera]:
         drawn = draw_views(self.region, DRAWS, seed)
@@ -98,7 +98,7 @@ def _spread(frames: range, cameras: Sequence[Camera]) -> Pictures:
 
 def choose_views(
     sequence: GaussianSequence, settings: EncodeSettings, renderer: Renderer = CPU
-) -> tuple[Views, tuple[str, ...]]:
+) -> tuple[SceneViews, tuple[str, ...]]:
     """Choose the region that is given, else the one about the scene's cameras, else about places that were found.
 
     Also gives sentences on how it was found. Which way is up, the settings say, else the format of the frames, else
@@ -117,7 +117,7 @@ def choose_views(
                 [*of_cameras, *notes],
             )
         else:
-            looked = [sequence.read(i) for i in evenly_spaced(len(sequence), LOOKED_AT)]
+            looked = [sequence.read(i) for i in evenly_spaced(len(sequence), SEARCHED_FRAMES)]
             found = find_viewpoints(looked, None if world is None else up_of(world))
             trusted, source = found.confident, "found" if found.confident else "orbit"
             region = region_around(found.cameras, middle, margin=settings.margin, source=source)
@@ -131,7 +131,7 @@ def choose_views(
         raise ConfigError(f"views: expected some that show the middle frame, got {2 * DRAWS} of nothing: {why}")
     small = region.width * region.height <= SMALL_PIXELS
     decided = settings.decide_pictures * (2 if small else 1)
-    return Views(region, world, trusted, decided, (blind[0], blind[1])), tuple(notes)
+    return SceneViews(region, world, trusted, decided, (blind[0], blind[1])), tuple(notes)
 
 
 def _blind(region: Region, seed: int, frame: Gaussians, renderer: Renderer) -> tuple[int, ...]:

@@ -66,7 +66,7 @@ def test_values_are_those_of_all_frames_together(group, tmp_path, small_chunks):
 
 def test_how_many_rows_are_looked_at_together_changes_nothing(sequence, group, tmp_path, small_chunks, monkeypatch):
     frames, layout, bases = group
-    coded, clock, plan = [], streams.Clock.of(Fraction(30)), faces.decide(sequence, SETTINGS)
+    coded, clock, plan = [], streams.FrameClock.of(Fraction(30)), faces.decide(sequence, SETTINGS)
     for name in ("few", "many"):
         (tmp_path / name).mkdir()
         coded.append(deltas.code_deltas(layout, bases, frames, plan, clock, tmp_path / name))
@@ -194,7 +194,7 @@ def test_pictures_that_would_leave_the_range_are_coded_finer_and_the_limit_of_es
     coarse = [h264.encode_gop(gop, (128, 128), FPS, CODEC) for gop in (ends, even, calm, bright)]
     checked = zip(coarse, (ends, even, calm, bright), strict=True)
     assert [h264.check_gop(data, gop, CODEC).in_range for data, gop in checked] == [True, True, True, False]
-    coded = streams.encode_checked([bright, calm], (128, 128), streams.Clock.of(FPS), CODEC).gops
+    coded = streams.encode_checked([bright, calm], (128, 128), streams.FrameClock.of(FPS), CODEC).gops
     shown = list(coded[0].pictures("x"))
     assert len(shown) == 6 and all(h264.in_range(picture) for picture in shown)
     assert len(coded[0].fragment) > len(coarse[3].fragment) and coded[1].fragment == coarse[2].fragment

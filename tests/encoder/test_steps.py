@@ -7,7 +7,7 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
-from airgs_codec.encoder.steps import STEPS, Subject, balance, find_steps, solve_steps
+from airgs_codec.encoder.steps import STEP_CHANNELS, TrialGroup, balance, find_steps, solve_steps
 from tests import faces
 from tests.faces import EncodeSettings, GaussianSequence, LevelSettings, StepSettings, get_step, open_sequence
 from tests.support.scenes import random_gaussians, write_demo
@@ -27,7 +27,7 @@ def fox(tmp_path_factory):
 
 
 def test_steps_are_named_once_and_replaced_one_at_a_time():
-    steps, names = StepSettings(), [*STEPS, "rows"]
+    steps, names = StepSettings(), [*STEP_CHANNELS, "rows"]
     for name in names:
         changed = faces.with_step(steps, name, 7.0)
         assert {n: get_step(changed, n) for n in names} == {n: get_step(steps, n) for n in names} | {name: 7.0}
@@ -38,7 +38,7 @@ def test_a_step_far_from_its_price_comes_back(fox):
     (*given, settings), wanted = fox, []
     for factor in (0.25, 1.0, 4.0):
         start = faces.with_step(settings.steps, "delta.means", factor * settings.steps.delta.means)
-        subject = Subject.of(*given, replace(settings, steps=start))
+        subject = TrialGroup.of(*given, replace(settings, steps=start))
         sample = subject.sample(24.0)
         steps, price, saved = solve_steps(sample, subject)
         assert price > 0
@@ -76,7 +76,7 @@ def test_a_scene_that_stands_still_has_one_level():
 
 
 def slopes(errors):
-    return {name: (1.0, error) for name, error in zip(STEPS, errors, strict=False)}
+    return {name: (1.0, error) for name, error in zip(STEP_CHANNELS, errors, strict=False)}
 
 
 def test_steps_are_balanced_within_the_limit_and_stay_where_nothing_depends_on_them():

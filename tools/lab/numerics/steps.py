@@ -25,8 +25,8 @@ from airgs_codec.coding.motion import FLOOR, StepSettings, classify_motion, get_
 from airgs_codec.coding.sidecar import fit_grid
 from airgs_codec.encoder.sample import PRESET, CalibrationSample, encode_and_decode
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.steps import PRIOR, STEPS, Slope, Subject, balance, measure_slopes, solve_steps
-from airgs_codec.encoder.streams import ROUNDING
+from airgs_codec.encoder.steps import PRIOR, STEP_CHANNELS, Slope, TrialGroup, balance, measure_slopes, solve_steps
+from airgs_codec.encoder.streams import FLOAT_ROUNDING
 from airgs_codec.media.h264 import CodecSettings, delta_codec, keyframe_codec, qp_step
 from airgs_codec.package.layout import KEYFRAME
 from airgs_codec.scene.gaussians import Gaussians
@@ -55,11 +55,11 @@ def spread_slopes(kind: str, decades: float) -> dict[str, Slope]:
     """Slopes of twelve steps that save alike, whose errors range over so many decades."""
     least = 10.0**-decades
     errors = {
-        "one hardly matters": [least] + [1.0] * (len(STEPS) - 1),
-        "one is everything": [1.0] + [least] * (len(STEPS) - 1),
-        "evenly spread": np.geomspace(1.0, least, len(STEPS)).tolist(),
+        "one hardly matters": [least] + [1.0] * (len(STEP_CHANNELS) - 1),
+        "one is everything": [1.0] + [least] * (len(STEP_CHANNELS) - 1),
+        "evenly spread": np.geomspace(1.0, least, len(STEP_CHANNELS)).tolist(),
     }[kind]
-    return {name: (1.0, error) for name, error in zip(STEPS, errors, strict=True)}
+    return {name: (1.0, error) for name, error in zip(STEP_CHANNELS, errors, strict=True)}
 
 
 def unlimited(slopes: Mapping[str, Slope]) -> dict[str, float]:
@@ -145,7 +145,7 @@ def calibrated(sample: CalibrationSample) -> Judged:
     """How trial encodes change the steps, and whether bytes and error together fall at the price that they name."""
     settings = EncodeSettings(calibrate="steps", threads=1)
     subject = cast(
-        Subject, SimpleNamespace(settings=settings, frames=sample.frames, layout=SimpleNamespace(removal_error=0.0))
+        TrialGroup, SimpleNamespace(settings=settings, frames=sample.frames, layout=SimpleNamespace(removal_error=0.0))
     )
     steps, price, _ = solve_steps(sample, subject)
     if price == 0:
@@ -153,7 +153,7 @@ def calibrated(sample: CalibrationSample) -> Judged:
     slopes = [b for _, b in measure_slopes(sample, subject).values()]
     seen = [b for b in slopes if b > 0]
     before, after = sample.cost(settings.steps), sample.cost(steps)
-    factors = [get_step(steps, n) / get_step(settings.steps, n) for n in STEPS]
+    factors = [get_step(steps, n) / get_step(settings.steps, n) for n in STEP_CHANNELS]
     errors = [cost.keyframe_error + cost.delta_error for cost in (before, after)]
     gain = (errors[1] + price * after.bytes) / (errors[0] + price * before.bytes)
     words = (
@@ -171,7 +171,7 @@ def code_deltas(sample: CalibrationSample, factor: float) -> Judged:
     steps = StepSettings()
     deltas = sample.deltas(sample.code_keyframe(steps, 1.0)[1], steps)
     size, errors = sample.code_deltas(deltas, factor)
-    rounding = ROUNDING * float(np.abs(deltas).max()) / factor
+    rounding = FLOAT_ROUNDING * float(np.abs(deltas).max()) / factor
     return _coded(float(np.abs(errors).max() / factor), size, _most(delta_codec(PRESET)) + rounding)
 
 
@@ -182,7 +182,7 @@ def code_keyframes(sample: CalibrationSample, factor: float) -> Judged:
     values = keyframe_channels(sample.keyframe, transform, steps.keyframe, steps.grid)
     units = KEYFRAME.steps(steps.keyframe, 3) * factor
     sizes, decoded = encode_and_decode(values[None], units, keyframe_codec(PRESET))
-    rounding = ROUNDING * float((np.abs(values) / units[:, None]).max())
+    rounding = FLOAT_ROUNDING * float((np.abs(values) / units[:, None]).max())
     error = float((np.abs(decoded[0] - values) / units[:, None]).max())
     return _coded(error, float(sizes[0]), _most(keyframe_codec(PRESET)) + rounding)
 
