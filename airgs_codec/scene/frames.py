@@ -49,6 +49,9 @@ class LazyFrames(Sequence[Gaussians]):
     def __len__(self) -> int:
         return len(self._numbers)
 
+    def __repr__(self) -> str:
+        return f"<{len(self)} frames>"
+
     @overload
     def __getitem__(self, place: int) -> Gaussians: ...
 

@@ -19,7 +19,7 @@ FRAMES = moving_frames(150, 8)
 @pytest.fixture(autouse=True)
 def no_waiting(monkeypatch):
     """A look at the folder follows the one before at once."""
-    monkeypatch.setattr(module, "POLL_S", 0.0)
+    monkeypatch.setattr(module, "LOOK_S", 0.0)
 
 
 def write_one_at_a_time(folder, frames):

@@ -96,11 +96,11 @@ def expected(m):
 
 
 def sets_of(streams):
-    """Representations by what their AdaptationSet says of them: the state, or a tier of the key."""
+    """Representations by what their AdaptationSet says of them: the deltas, or a keyframe tier."""
     kinds = defaultdict(list)
     for name in sorted(streams):
         tier = re.match(r"T(\d+)/", name)
-        kinds[f"keyframe;tier={tier[1]}" if tier else "state"].append(name)
+        kinds[f"keyframe;tier={tier[1]}" if tier else "delta"].append(name)
     return kinds
 
 
@@ -130,7 +130,7 @@ def test_dashjs_finds_the_sets_and_plays_the_delta(report, name):
     seen, sets = report[name, "dashjs", ""], sets_of(expected(PACKAGES[name].manifest))
     found = [(s["role"], sorted(s["representations"])) for s in seen["sets"]]
     assert sorted(found) == sorted(([role], names) for role, names in sets.items())
-    assert {f["id"] for f in seen["fragments"]} <= {*sets["state"]} and not seen["live"]
+    assert {f["id"] for f in seen["fragments"]} <= {*sets["delta"]} and not seen["live"]
 
 
 @pytest.mark.parametrize("player", PLAYERS)

@@ -142,7 +142,7 @@ def test_what_is_drawn_is_what_it_is_named_after(packages, data):
         assert cut < whole / 2
     segments = [s for group in tables_of(data, "jumping")["rungs"][0]["groups"] for s in group["segments"]]
     assert {t for frames in segments for t, frame in enumerate(frames) if frame["changes"]} >= {1, 2}
-    assert all(s.levels[0].line for s in manifests["lined"].segments)
+    assert all(s.levels[0].slopes for s in manifests["lined"].segments)
     room = manifests["room"].groups
     assert [g.base for g in room] == [None, 1, 1]
     assert any(atlas.rows for tier in room[1].tiers for atlas in tier.qualities)
@@ -162,9 +162,9 @@ def test_what_cannot_be_drawn_is_said(seen, data):
     atlas = tables_of(data, "levels")["groups"][0]["levels"][0]
     samples = atlas["width"] * atlas["height"]
     assert [line.removeprefix("RenderError: ") for line in seen["refusals"]["messages"]] == [
-        "a state: expected a level first, got another",
+        "a delta: expected a level first, got another",
         f"luma: expected {samples} samples, got {samples - 1}",
-        "a state: expected level 0, got another",
+        "a delta: expected level 0, got another",
         "an order: expected at most 700 rows, got 701",
         "a browser: expected WebGL2, got none",
     ]

@@ -101,7 +101,7 @@ def test_inflation_removes_added_gaussians(ball):
     assert added(1e-6) == pytest.approx(none, rel=0.1)
 
 
-@pytest.mark.parametrize("keyframe", [False, True])
+@pytest.mark.parametrize("key", [False, True])
 def test_rows_that_rest_are_no_variables(key):
     """Bit for bit, without a temporal loss, in a frame of a group and in a keyframe; and what moves is still found."""
     after = joined(shifted(0.05)[0], appeared())

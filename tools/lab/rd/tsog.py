@@ -47,7 +47,9 @@ def read_tsog(path: Path, frame: int) -> Gaussians:
         meta = json.loads(archive.read(META_NAME))
         names = [name for name in archive.namelist() if name != META_NAME]
         pixels = {name: unpack(name, archive.read(name), meta["count"]) for name in names}
-    rows = decode_rows(meta, pixels, FrameHeader(meta["count"], meta["shN"]["bands"] if "shN" in meta else 0))
+    rows = decode_rows(
+        meta | {"version": 2}, pixels, FrameHeader(meta["count"], meta["shN"]["bands"] if "shN" in meta else 0)
+    )
     low, high = (pixels[name][: meta["count"], 0].astype(int) for name in meta["timeline"]["files"])
     return rows.take((low + 256 * high) // meta["timeline"]["delta"] == frame)
 
