@@ -66,10 +66,7 @@ ATTRIBUTES: dict[str, tuple[Make, Put]] = {
         lambda g, b, s: (g.means - b.means) / b.motion_units[:, None],
         lambda x, b, s: b.means + (x * b.motion_units).T,
     ),
-    "log_scales": (
-        lambda g, b, s: g.log_scales.astype(np.float64) - b.log_scales,
-        lambda x, b, s: b.log_scales + x.T,
-    ),
+    "log_scales": (lambda g, b, s: g.log_scales.astype(np.float64) - b.log_scales, lambda x, b, s: b.log_scales + x.T),
     "quaternions": (
         lambda g, b, s: to_rotation_vector(multiply(g.quaternions, conjugate(b.quaternions.astype(np.float64)))),
         lambda x, b, s: multiply(kernels.to_quaternions(x), b.quaternions),
@@ -89,18 +86,14 @@ def blank_space(
     means: NDArray[np.float64], units: NDArray[np.float32], log_scale: float, transform: NDArray[np.float64]
 ) -> Canonical:
     """Return the base of keyframe channels: rows at `means` (N, 3) of one size, without rotation or colour."""
-    row = [np.array([1, 0, 0, 0]), np.full(3, log_scale), np.zeros(()), np.zeros(len(transform))]
-    quaternions, sizes, opacity, colour = (
-        np.broadcast_to(value.astype(np.float32), (len(means), *value.shape)) for value in row
-    )
-    depths = np.zeros(len(means), np.uint8)
-    return Canonical(means, units, quaternions, sizes, opacity, colour, depths, transform)
+    row = np.array([1.0, 0, 0, 0]), np.full(3, log_scale), np.zeros(()), np.zeros(len(transform))
+    columns = (np.broadcast_to(value.astype(np.float32), (len(means), *value.shape)) for value in row)
+    return Canonical(means, units, *columns, np.zeros(len(means), np.uint8), transform)
 
 
 def join_canonical(parts: Sequence[Canonical], transform: NDArray[np.float64]) -> Canonical:
-    if not parts:
-        return blank_space(np.empty((0, 3)), np.empty(0, np.float32), 0.0, transform)
-    return Canonical.join(parts)
+    nothing = blank_space(np.empty((0, 3)), np.empty(0, np.float32), 0.0, transform)
+    return Canonical.join(parts) if parts else nothing
 
 
 def keyframe_channels(
@@ -138,8 +131,7 @@ def dequantise_keyframe(
         means = grid_means(sidecar.codes, sidecar.classes, sidecar.wider, grid, coarser)
         base = blank_space(means, motion_units(sidecar.classes), math.log(grid.unit), transform)
     before, scale = base, colour_steps(steps, len(transform)).astype(np.float32)
-    columns = {name: getattr(base, name) for name in kind.attributes}
-    out = {name: np.empty(column.shape, column.dtype) for name, column in columns.items()}
+    out = {name: np.empty(getattr(base, name).shape, getattr(base, name).dtype) for name in kind.attributes}
 
     def fill(rows: slice) -> None:
         some, part = _some(channels, rows), before.take(rows)
@@ -182,57 +174,52 @@ def hold_undrawn(channels: NDArray[np.float64], drawn: NDArray[np.bool_]) -> Non
     """Hold the last drawn value of (T, c, N) channels; writes into them. `drawn` is (T, N)."""
     rows = np.flatnonzero(~drawn.all(axis=0))
     drawn = drawn[:, rows]
-    first = channels[np.argmax(drawn, axis=0), :, rows].T
-    last = np.where(drawn.any(axis=0), first, 0.0)
+    last = np.where(drawn.any(axis=0), channels[np.argmax(drawn, axis=0), :, rows].T, 0.0)
     for t in range(len(channels)):
         last = np.where(drawn[t], channels[t][:, rows], last)
         channels[t][:, rows] = last
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class DeltaApplier:
-    """Adds decoded deltas to the n rows of one level; what all frames of a segment share is gathered once."""
+    """Adds decoded deltas to rows (n,) of one level, ascending; what all frames of a segment share is gathered once.
 
-    base: Canonical
-    shown: Gaussians  # the canonical space as a frame
-    rows: NDArray[np.intp]  # (n,) the level's rows among the N, ascending
-    colour_steps: NDArray[np.float32]  # (C,)
-    constant: Sequence[str]  # of quaternions and colour: what no frame changes
+    All channels of what is `constant`, quaternions or colour, are 0.
+    """
 
-    @staticmethod
-    def of(base: Canonical, rows: NDArray[np.intp], steps: DeltaSteps, constant: Sequence[str] = ()) -> DeltaApplier:
-        """Return an applier for these rows (n,); all channels of quaternions or colour that are `constant` are 0."""
-        scale = colour_steps(steps, len(base.transform)).astype(np.float32)
-        return DeltaApplier(base, base.to_gaussians(), rows, scale, constant)
+    def __init__(
+        self, base: Canonical, rows: NDArray[np.intp], steps: DeltaSteps, constant: Sequence[str] = ()
+    ) -> None:
+        self.shown, self.quaternions, self.rows = base.to_gaussians(), base.quaternions, rows
+        self.colour_steps = colour_steps(steps, len(base.transform)).astype(np.float32)
+        before = {"means": self.shown.means, "log_scales": base.log_scales, "opacity": self.shown.opacity_logits}
+        before |= {"quaternions": base.quaternions, COLOUR: base.colour}
+        self.before = {name: column for name, column in before.items() if name not in constant}
+        varying = replace(base, **{name: before[name][:, :0] for name in constant})
+        self.level = varying.take(kernels.consecutive(rows))
 
     def apply(self, channels: Channels) -> Gaussians:
         """Return the frame that decoded delta channels of the n rows make of the canonical space: all N rows.
 
         Where `channels` is a function from rows to their (10 + C, m) channels, several threads call it.
         """
-        shown, base = self.shown, self.base
-        before = {"means": shown.means, "log_scales": base.log_scales, "opacity": shown.opacity_logits}
-        before |= {name: getattr(base, name) for name in ("quaternions", COLOUR) if name not in self.constant}
-        out = {name: np.empty_like(column) for name, column in before.items()}
+        shown, out = self.shown, {name: np.empty_like(column) for name, column in self.before.items()}
 
         def fill(rows: slice) -> None:
             start, stop = np.searchsorted(self.rows, (rows.start, rows.stop)).tolist()
             if stop - start < rows.stop - rows.start:
                 for name, column in out.items():
-                    column[rows] = before[name][rows]
+                    column[rows] = self.before[name][rows]
             if start == stop:
                 return
-            changed, some = kernels.consecutive(self.rows[start:stop]), _some(channels, slice(start, stop))
-            part = base.take(changed)
+            some, part = _some(channels, slice(start, stop)), self.level.take(slice(start, stop))
+            changed = kernels.consecutive(self.rows[start:stop])
             for name, column in out.items():
                 values = ATTRIBUTES[name][1](some[DELTA.slice(name)], part, self.colour_steps)
                 column[changed] = from_opacity(values) if name == "opacity" else values
 
         kernels.for_chunks(fill, len(shown), WIDTH)
-        dc, rest = shown.sh_dc, shown.sh_rest
-        if COLOUR in out:
-            dc, rest = split_colours(out[COLOUR])
-        quaternions = out.get("quaternions", base.quaternions)
+        dc, rest = split_colours(out[COLOUR]) if COLOUR in out else (shown.sh_dc, shown.sh_rest)
+        quaternions = out.get("quaternions", self.quaternions)
         return Gaussians(out["means"], quaternions, out["log_scales"], out["opacity"], np.ascontiguousarray(dc), rest)
 
 

@@ -232,7 +232,7 @@ def decode_segment(
         names = DELTA.names(m.colour_channels)
         varying = {names[i] for i, centre in enumerate(atlas.centres) if centre or i in atlas.planes}
         constant = [name for name in ("quaternions", COLOUR) if name not in varying]
-        applier = DeltaApplier.of(base, rows, group.delta_steps, constant)
+        applier = DeltaApplier(base, rows, group.delta_steps, constant)
         frames = range(places[0], places[-1] + 1)
         for place, delta in zip(frames, decode_pictures(package, index, level, frames), strict=True):
             if place in places:
