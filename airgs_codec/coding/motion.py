@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.package.layout import COLOUR, DELTA
 from airgs_codec.package.tables import BLOCK, DELTA_ATTRIBUTES, LEAST_CLASS, MOST_CLASS, DeltaSteps, KeyframeSteps
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.gaussians import Floats, Gaussians
 
 LEAVES = 1e4  # steps
 FLOOR = 0.01  # of the median: rows that the given views hardly see may be seen from others
@@ -91,18 +91,14 @@ def motion_units(classes: NDArray[np.int16]) -> NDArray[np.float32]:
 
 def classify_motion(sensitivity: NDArray[np.float64], g: Gaussians, scale: float) -> NDArray[np.int16]:
     """Return (N,) motion classes by (N,) `sensitivity`, or by the median size where no row is seen."""
-    seen = sensitivity[sensitivity > 0]
-    if not len(seen):  # nothing is visible: all rows count the same
-        size = float(np.exp(np.clip(np.median(g.log_scales.astype(np.float64)), -30, 30)))
-        return np.full(len(g), round(math.log2(size / scale)), np.int16)
-    return motion_classes(sensitivity, FLOOR * float(np.median(seen)), scale)
+    if len(seen := sensitivity[sensitivity > 0]):
+        return motion_classes(sensitivity, FLOOR * float(np.median(seen)), scale)
+    size = float(np.exp(np.clip(np.median(g.log_scales.astype(np.float64)), -30, 30)))
+    return np.full(len(g), round(math.log2(size / scale)), np.int16)
 
 
 def share_class(
-    classes: NDArray[np.int16],
-    sensitivity: NDArray[np.float64],
-    displacements: Iterable[NDArray[np.floating]],
-    step: float,
+    classes: NDArray[np.int16], sensitivity: Floats, displacements: Iterable[Floats], step: float
 ) -> NDArray[np.int16]:
     """Return (N,) motion classes, or one for all rows where their displacements take fewer bits with it.
 
@@ -110,12 +106,11 @@ def share_class(
     units, `step` that of means. With one class equal steps err about as much in pictures. Rows that move further than
     LEAVES steps are left out.
     """
-    total = float(sensitivity.sum())
-    if total == 0:
+    if not (total := float(sensitivity.sum())):
         return classes
     units = motion_units(classes).astype(np.float64)
     shared = math.sqrt(float(sensitivity @ np.square(units)) / total)
-    separate, together = 0.0, 0.0
+    separate = together = 0.0
     for moved in displacements:
         moved = np.where(np.abs(moved).max(axis=0) > LEAVES * step * shared, 0, moved)
         separate += _transform_bits(moved / (step * units))
@@ -138,7 +133,7 @@ def _transform_bits(samples: NDArray[np.floating]) -> float:
 def _hadamard(order: int) -> NDArray[np.float64]:
     matrix = np.ones((1, 1))
     while len(matrix) < order:
-        matrix = np.block([[matrix, matrix], [matrix, -matrix]]) / math.sqrt(2)
+        matrix = np.kron([[1, 1], [1, -1]], matrix) / math.sqrt(2)
     return matrix
 
 
@@ -152,7 +147,7 @@ def channel_weights(
     Colour channel k changes SH DC and SH rest by the entries of row k of the KLT `transform` (C, C).
     """
     colours = len(transform)
-    dc, rest = (np.square(part).sum(axis=1) for part in (transform[:, :3], transform[:, 3:]))
+    dc, rest = (np.square(part).sum(axis=1) for part in np.hsplit(transform, [3]))
     by = dict(zip(DELTA_ATTRIBUTES, sensitivity, strict=True))
     units = asdict(steps) | {"means": motion_units(classes).astype(np.float64) * steps.means}
     weights = np.empty((DELTA.width(colours), len(classes)))
