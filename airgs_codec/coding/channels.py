@@ -14,6 +14,7 @@ import base64
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,7 +89,8 @@ def blank_space(
     """Return the base of keyframe channels: rows at `means` (N, 3) of one size, without rotation or colour."""
     row = np.array([1.0, 0, 0, 0]), np.full(3, log_scale), np.zeros(()), np.zeros(len(transform))
     columns = (np.broadcast_to(value.astype(np.float32), (len(means), *value.shape)) for value in row)
-    return Canonical(means, units, *columns, np.zeros(len(means), np.uint8), transform)
+    turns, sizes, opacity, colour = columns
+    return Canonical(means, units, turns, sizes, opacity, colour, np.zeros(len(means), np.uint8), transform)
 
 
 def join_canonical(parts: Sequence[Canonical], transform: NDArray[np.float64]) -> Canonical:
@@ -194,8 +196,8 @@ class DeltaApplier:
         before = {"means": self.shown.means, "log_scales": base.log_scales, "opacity": self.shown.opacity_logits}
         before |= {"quaternions": base.quaternions, COLOUR: base.colour}
         self.before = {name: column for name, column in before.items() if name not in constant}
-        varying = replace(base, **{name: before[name][:, :0] for name in constant})
-        self.level = varying.take(kernels.consecutive(rows))
+        without: Any = {name: before[name][:, :0] for name in constant}
+        self.level = replace(base, **without).take(kernels.consecutive(rows))
 
     def apply(self, channels: Channels) -> Gaussians:
         """Return the frame that decoded delta channels of the n rows make of the canonical space: all N rows.

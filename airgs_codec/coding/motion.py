@@ -131,7 +131,7 @@ def _transform_bits(samples: NDArray[np.floating]) -> float:
 
 @functools.cache
 def _hadamard(order: int) -> NDArray[np.float64]:
-    matrix = np.ones((1, 1))
+    matrix: NDArray[Any] = np.ones((1, 1))
     while len(matrix) < order:
         matrix = np.kron([[1, 1], [1, -1]], matrix) / math.sqrt(2)
     return matrix

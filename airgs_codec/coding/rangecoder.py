@@ -193,11 +193,11 @@ def encode_columns(columns: Sequence[Column]) -> bytes:
         values = np.ascontiguousarray(numbers, np.int64)
         if len(values) and int(values.min()) < 0:
             raise ValueError(f"expected numbers from 0, got {values.min()}")
-        models = [_mutable(column, compiled) for column in _models(order)]
+        chances, divisors, shares = (_mutable(column, compiled) for column in _models(order))
         state[_CONTEXT] = 0
         for start in range(0, len(values), _BATCH):
-            some = values[start : start + _BATCH]
-            (compiled or _encode)(some if compiled else some.tolist(), *models, state, buffer)
+            some = values[start : start + _BATCH] if compiled else values[start : start + _BATCH].tolist()
+            (compiled or _encode)(some, chances, divisors, shares, state, buffer)
             parts.append(bytes(out[: state[_AT]]))
             state[_AT] = 0
     low, _, _, cache, pending, _ = map(int, state)  # the delayed bytes, to which a carry may still be added
@@ -235,10 +235,10 @@ class ColumnReader:
             return np.zeros(count, np.int64)
         compiled = worth_compiling(_decode, count)
         values: Whole = np.zeros(count, np.int64) if compiled else [0] * count
-        models = [_mutable(numbers, compiled) for numbers in _models(order)]
+        chances, divisors, shares = (_mutable(numbers, compiled) for numbers in _models(order))
         state = _mutable(self._state, compiled)
         data = np.frombuffer(self._data, np.uint8) if compiled else self._data
-        (compiled or _decode)(values, *models, state, data)
+        (compiled or _decode)(values, chances, divisors, shares, state, data)
         self._state = list(map(int, state))
         words = f"expected {count} more numbers, got the end of the file"
         expect(self._state[_AT] <= self._end, self.where, words, "bad_sidecar")
@@ -258,6 +258,6 @@ def sum_gaps(gaps: NDArray[np.int64], low: NDArray[np.int64], bits: int) -> NDAr
     """
     compiled = worth_compiling(_sum_gaps, 0)
     codes = _mutable([0] * len(gaps), compiled)
-    columns = (gaps, low) if compiled else (gaps.tolist(), low.tolist())
-    fits = (compiled or _sum_gaps)(*columns, bits, codes)
+    steps, lows = (gaps, low) if compiled else (gaps.tolist(), low.tolist())
+    fits = (compiled or _sum_gaps)(steps, lows, bits, codes)
     return np.array(codes, np.uint64) if fits else None

@@ -47,10 +47,8 @@ def first_views(region: Region, world: World | None) -> tuple[Camera, ...]:
 
 def levelled(region: Region, world: World | None) -> Region:
     """Return the region of a package as players take it: with the up of its world at every place."""
-    if world is None:
-        return region
-    up = up_of(world).tolist()
-    return replace(region, places=[replace(place, up=up) for place in region.places])
+    places = [replace(place, up=up_of(world).tolist()) for place in region.places if world]
+    return replace(region, places=places) if world else region
 
 
 def upright(region: Region) -> Vector:
@@ -63,8 +61,7 @@ def upright(region: Region) -> Vector:
     ahead = [np.array(place.focus, np.float64) - place.position for place in region.places]
     sides = np.cross([direction / np.linalg.norm(direction) for direction in ahead], ups)
     mean: Vector = ups.mean(axis=0)
-    length = np.linalg.norm(mean)
-    up = mean / length if length > AGREEMENT else ups[0]
+    up = mean / length if (length := np.linalg.norm(mean)) > AGREEMENT else ups[0]
     for _ in range(LEVELLING):
         up = up - sides.T @ (sides @ up) / len(sides)
         up /= np.linalg.norm(up)
@@ -103,9 +100,8 @@ def draw_views(region: Region, count: int, seed: int) -> list[Camera]:
     the direction to it evenly over the sphere, and the view axis evenly over the disk of directions that are at most
     `region.turn` degrees off the focus: viewers are more often near the places than at the rim.
     """
-    rng = np.random.default_rng(seed)
-    rounds = range(-(-count // len(region.places)))
-    order = [place for _ in rounds for place in rng.permutation(len(region.places)).tolist()][:count]
+    rng, places = np.random.default_rng(seed), len(region.places)
+    order = [place for _ in range(-(-count // places)) for place in rng.permutation(places).tolist()][:count]
     return [_draw(region, region.places[i], rng, f"draw{number:03d}") for number, i in enumerate(order)]
 
 
@@ -140,14 +136,11 @@ def region_figures(region: Region) -> dict[str, Any]:
 
 
 def region_words(region: Region) -> str:
-    figures = region_figures(region)
+    figures, count = region_figures(region), len(region.places)
     ends = ([f"{value:.3g}" for value in figures[name]] for name in ("reach", "distance"))
     reach, distance = (" to ".join(dict.fromkeys(pair)) for pair in ends)
-    places = "1 place" if len(region.places) == 1 else f"{len(region.places)} places"
-    return (
-        f"{SOURCES[region.source]}: {places} with a reach of {reach} units, {distance} units "
-        f"from what is looked at; {region.turn:g}° to turn"
-    )
+    about = f"{SOURCES[region.source]}: {count} place{'s' * (count != 1)} with a reach of {reach} units"
+    return f"{about}, {distance} units from what is looked at; {region.turn:g}° to turn"
 
 
 def world_from(up: Sequence[float], metres: float | None = None) -> World:
@@ -214,13 +207,12 @@ def read_world(path: Path) -> World:
         raise ConfigError(f"{path}: cannot read a transform: {error.strerror}") from error
     except (ValueError, TypeError, OverflowError, RecursionError) as error:
         raise ConfigError(f"{path}: expected 12 or 16 numbers, row by row: {str(error)[:120]}") from error
-    if len(values) == 16 and not np.array_equal(values[12:], [0, 0, 0, 1]):
-        raise ConfigError(f"{path}: expected a last row of 0 0 0 1, got {values[12:].tolist()}")
+    rows, last = values[:12].tolist(), values[12:].tolist()
     if len(values) not in (12, 16):
         raise ConfigError(f"{path}: expected 12 or 16 numbers, row by row, got {len(values)} numbers")
-    if fault := fault_of(values[:12].tolist()):
+    if fault := f"expected a last row of 0 0 0 1, got {last}" if last not in ([], [0, 0, 0, 1]) else fault_of(rows):
         raise ConfigError(f"{path}: {fault}")
-    return World(values[:12].tolist(), metric=True)
+    return World(rows, metric=True)
 
 
 def world_words(world: World | None) -> str:

@@ -18,6 +18,8 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.gaussians import LARGEST, Gaussians
 
 Background = tuple[float, float, float]  # r, g, b, 0..1
+Size = tuple[int, int]  # width, height in pixels
+Vector = NDArray[np.float64]
 BLACK: Background = (0.0, 0.0, 0.0)
 MOST_PIXELS = 32_768  # along a side of a picture
 ROTATION_TOLERANCE = 1e-2  # for what files round; axes of another length or not at right angles are something else
@@ -59,7 +61,7 @@ class Camera:
         target: ArrayLike,
         up: ArrayLike = UP,
         *,
-        size: tuple[int, int],
+        size: Size,
         fov_y: float = 50.0,
         name: str = "view",
     ) -> Camera:
@@ -79,7 +81,7 @@ class Camera:
         *,
         camera_to_world: ArrayLike | None = None,
         world_to_camera: ArrayLike | None = None,
-        size: tuple[int, int],
+        size: Size,
         fov_y: float | None = None,
         intrinsics: ArrayLike | None = None,
         name: str = "view",
@@ -101,8 +103,7 @@ class Camera:
             intrinsics = [[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]
         (fx, _, cx), (_, fy, cy), _ = _numbers("intrinsics", intrinsics, (3, 3)).tolist()
         given = "camera_to_world" if world_to_camera is None else "world_to_camera"
-        value = camera_to_world if world_to_camera is None else world_to_camera
-        rows = _numbers(given, value, (4, 4), (3, 4))
+        rows = _numbers(given, camera_to_world if world_to_camera is None else world_to_camera, (4, 4), (3, 4))
         matrix = np.concatenate([rows, np.eye(4)[len(rows) :]])
         try:
             matrix = np.linalg.inv(matrix) if world_to_camera is None else matrix
@@ -153,15 +154,7 @@ def _numbers(name: str, value: ArrayLike | None, *shapes: tuple[int, ...]) -> ND
     return found
 
 
-def look_at(
-    position: NDArray[np.float64],
-    target: NDArray[np.float64],
-    up: NDArray[np.float64],
-    *,
-    size: int,
-    fov_y: float,
-    name: str,
-) -> Camera:
+def look_at(position: Vector, target: Vector, up: Vector, *, size: int, fov_y: float, name: str) -> Camera:
     """Return a square camera at `position` (3,) that looks at `target` (3,); `fov_y` in radians, `size` in pixels."""
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, up)
@@ -180,9 +173,8 @@ def rigid(turn: NDArray[np.float64], shift: ArrayLike) -> NDArray[np.float64]:
 
 def resized(camera: Camera, share: float) -> Camera:
     """Return the camera with `share` of the pixels on either side, at least 8; unchanged for a share of 1 or more."""
-    if share >= 1:
-        return camera
-    return with_pixels(camera, *(max(8, round(share * side)) for side in (camera.width, camera.height)))
+    size = (max(8, round(share * side)) for side in (camera.width, camera.height))
+    return with_pixels(camera, *size) if share < 1 else camera
 
 
 def with_pixels(camera: Camera, width: int, height: int) -> Camera:
@@ -194,11 +186,9 @@ def with_pixels(camera: Camera, width: int, height: int) -> Camera:
 
 def placed(camera: Camera, shift: NDArray[np.float64], scale: float, turn: NDArray[np.float64] | None = None) -> Camera:
     """Return the camera that sees the same of a scene which was turned (3, 3), shifted (3,), and then scaled."""
-    view = camera.world_to_camera.copy()
-    if turn is not None:
-        view[:3, :3] = view[:3, :3] @ turn.T
-    view[:3, 3] = scale * (view[:3, 3] - view[:3, :3] @ shift)
-    return replace(camera, world_to_camera=view, near=scale * camera.near)
+    axes, centre = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
+    axes = axes if turn is None else axes @ turn.T
+    return replace(camera, world_to_camera=rigid(axes, scale * (centre - axes @ shift)), near=scale * camera.near)
 
 
 def cameras_from(origin: ArrayLike, cameras: Iterable[Camera]) -> tuple[Camera, ...]:
@@ -229,8 +219,7 @@ def looked_at(cameras: Sequence[Camera]) -> NDArray[np.float64]:
     """Return the point (3,) nearest to all optical axes, by least squares."""
     total, right = 1e-6 * np.eye(3), np.zeros(3)  # parallel axes meet nowhere: the system would be singular
     for camera in cameras:
-        forward = camera.world_to_camera[2, :3]
-        across = np.eye(3) - np.outer(forward, forward)
+        across = np.eye(3) - np.outer(camera.world_to_camera[2, :3], camera.world_to_camera[2, :3])
         total += across
         right += across @ camera.position
     return np.asarray(np.linalg.solve(total, right), np.float64)
@@ -281,15 +270,10 @@ def orbit_views(gaussians: Gaussians, count: int = 8, size: int = 256, up: NDArr
 
 
 def dome_views(
-    gaussians: Gaussians,
-    count: int,
-    size: int,
-    up: NDArray[np.float64],
-    rises: tuple[float, float] = (-np.pi / 2, np.pi / 2),
+    gaussians: Gaussians, count: int, size: int, up: Vector, rises: tuple[float, float] = (-np.pi / 2, np.pi / 2)
 ) -> list[Camera]:
     """Return cameras as `orbit_views` does, spread evenly between two elevations, radians above the horizon."""
-    low, high = np.sin(rises)
-    return _views_from(gaussians, spiral(count, float(low), float(high)), up, size)
+    return _views_from(gaussians, spiral(count, *np.sin(rises).tolist()), up, size)
 
 
 def _views_from(gaussians: Gaussians, sides: NDArray[np.float64], up: NDArray[np.float64], size: int) -> list[Camera]:
@@ -307,25 +291,19 @@ def spiral(count: int, lowest: float = -1.0, highest: float = 1.0) -> NDArray[np
 
 
 def side_view(
-    gaussians: Gaussians,
-    side: NDArray[np.float64],
-    up: NDArray[np.float64],
-    size: int,
-    name: str,
-    weights: NDArray[np.float64] | None = None,
+    gaussians: Gaussians, side: Vector, up: Vector, size: int, name: str, weights: Vector | None = None
 ) -> Camera:
     """Return a square camera that sees the scene from a unit vector (3,); `weights` (N,) default to opacity."""
     weights = gaussians.opacities().astype(np.float64) if weights is None else weights
     finite = np.isfinite(gaussians.means).all(axis=1) & np.isfinite(weights)
-    if finite.any():
-        means, weights = gaussians.means[finite].astype(np.float64), weights[finite] + LEAST_WEIGHT
-    else:
+    means, weights = gaussians.means[finite].astype(np.float64), weights[finite] + LEAST_WEIGHT
+    if not len(means):
         means, weights = np.zeros((1, 3)), np.ones(1)
     ends = (1 - COVERED) / 2, (1 + COVERED) / 2
     centre = np.array([sum(weighted_quantile(values, weights, end) for end in ends) / 2 for values in means.T])
     offsets = means - centre
-    matrix = look_at(side, np.zeros(3), up, size=size, fov_y=FIELD_OF_VIEW, name=name).world_to_camera
-    x, y, z = matrix[:3, :3] @ offsets.T
+    ahead = look_at(side, np.zeros(3), up, size=size, fov_y=FIELD_OF_VIEW, name=name)
+    x, y, z = ahead.world_to_camera[:3, :3] @ offsets.T
     wanted = MARGIN / np.tan(FIELD_OF_VIEW / 2) * np.maximum(np.abs(x), np.abs(y)) - z
     radius = weighted_quantile(np.linalg.norm(offsets, axis=1), weights, COVERED)
     # A view from no distance has no direction, nor has one whose distance float32 loses next to its centre; a
@@ -340,6 +318,5 @@ def side_view(
 
 def weighted_quantile(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
     """Return the least value that `share` of the weight does not exceed."""
-    order = np.argsort(values)
-    total = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(total, share * total[-1])])
+    total = np.cumsum(weights[order := np.argsort(values)])
+    return float(values[order[np.searchsorted(total, share * total[-1])]])
