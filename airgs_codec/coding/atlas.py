@@ -86,9 +86,8 @@ def fit_atlas(codes: NDArray[np.int32], limit: float, omitted: NDArray[np.bool_]
     A channel of the mask `omitted` (channels,) has none either; its centre is its median.
     """
     fits = [fit_centre(codes[:, channel], limit) for channel in range(codes.shape[1])]
-    varies = np.array([fit[1] for fit in fits])
-    planes = np.flatnonzero(varies if omitted is None else varies & ~omitted).tolist()
-    return make_atlas(codes.shape[2], [fit[0] for fit in fits], planes)
+    planes = [c for c, (_, varies) in enumerate(fits) if varies and (omitted is None or not omitted[c])]
+    return make_atlas(codes.shape[2], [centre for centre, _ in fits], planes)
 
 
 def fit_centre(codes: NDArray[np.int32], limit: float) -> tuple[int, bool]:

@@ -96,10 +96,8 @@ class GaussianSequence:
         views = tuple(argument("cameras", camera, Camera, "cameras") for camera in cameras)
         clip = clip_of(frames, fps)
         paths, behind = (IN_MEMORY,) * len(clip.headers), views[0].background if views else BLACK
-        found = GaussianSequence(
-            IN_MEMORY, paths, clip.headers, clip.fps, None, views, background=behind, alone=True, clip=clip
-        )
-        return _from_own_origin(found)
+        found = GaussianSequence(IN_MEMORY, paths, clip.headers, clip.fps, None, views, alone=True, clip=clip)
+        return _from_own_origin(replace(found, background=behind))
 
     @property
     def sh_degree(self) -> int:
@@ -256,9 +254,9 @@ def _naming(copied: Copied | None) -> Iterator[None]:
 
 
 def _open(place: Path, bake: Bake, views: str | Path | None, fps: Fraction | float | None) -> GaussianSequence:
-    found = table.find_frames(place)
-    path = found.paths[0]
-    if len(found.paths) == 1 and (form := table.clip_format(path)):
+    folder, paths, alone = table.find_frames(place)
+    path = paths[0]
+    if len(paths) == 1 and (form := table.clip_format(path)):
         clip = form.open(path, bake)
         if views is None and path.suffix.lower() == ".splatv":
             try:
@@ -268,11 +266,11 @@ def _open(place: Path, bake: Bake, views: str | Path | None, fps: Fraction | flo
                 clip = replace(clip, note=f"{clip.note}; no cameras from it ({str(error).removeprefix(f'{path}: ')})")
         headed = [(path, header) for header in clip.headers]
         rate = clip.fps if fps is None else fps
-        return sequence_of(found.folder, headed, views=views, fps=rate, alone=True, clip=clip)
+        return sequence_of(folder, headed, views=views, fps=rate, alone=True, clip=clip)
     if bake != Bake():
         raise SceneError(f"{place}: expected a clip to bake ({', '.join(table.CLIP_SUFFIXES)}), got frames")
-    headed = [(path, table.read_frame_header(path)) for path in found.paths]
-    return sequence_of(found.folder, headed, views=views, fps=fps, alone=found.alone)
+    headed = [(path, table.read_frame_header(path)) for path in paths]
+    return sequence_of(folder, headed, views=views, fps=fps, alone=alone)
 
 
 def sequence_of(
@@ -301,21 +299,10 @@ def sequence_of(
     posed = read_posed(cameras_path) if cameras_path else []
     cameras = (replace(camera, background=own.background) for camera in distinct(posed))
     gaps = [] if alone else table.gap_notes(paths)
-    found = GaussianSequence(
-        folder,
-        paths,
-        headers,
-        own.fps if fps is None else beside.frame_rate(str(folder), fps),
-        own.keyframes,
-        cameras_from(own.origin, cameras),
-        cameras_path=cameras_path,
-        background=own.background,
-        notes=(*own.notes, *gaps, *lens_notes(posed)),
-        alone=alone,
-        clip=clip,
-        origin=own.origin,
-        stored_at=own.origin,
-    )
+    rate, views_of = own.fps if fps is None else beside.frame_rate(str(folder), fps), cameras_from(own.origin, cameras)
+    found = GaussianSequence(folder, paths, headers, rate, own.keyframes, views_of, alone=alone, clip=clip)
+    found = replace(found, cameras_path=cameras_path, notes=(*own.notes, *gaps, *lens_notes(posed)))
+    found = replace(found, background=own.background, origin=own.origin, stored_at=own.origin)
     return _from_own_origin(found) if origin is None else found.at_origin(origin)
 
 
@@ -335,8 +322,7 @@ class GrowingFolder:
     def __init__(
         self, folder: str | Path, *, views: str | Path | None = None, fps: Fraction | float | None = None
     ) -> None:
-        self._folder = Path(folder)
-        self._views, self._fps = views, fps
+        self._folder, self._views, self._fps = Path(folder), views, fps
         self._frames: list[tuple[Path, FrameHeader]] = []
         self._sequence: GaussianSequence | None = None
         self._read_at = 0  # when the sequence.json of that was written
@@ -350,8 +336,7 @@ class GrowingFolder:
         settings = self._folder / SETTINGS_NAME
         written = settings.stat().st_mtime_ns if settings.is_file() else 0
         if fresh or (self._frames and written != self._read_at):
-            self._frames += fresh
-            self._read_at = written
+            self._frames, self._read_at = self._frames + fresh, written
             origin = self._sequence.origin if self._sequence else None
             self._sequence = sequence_of(self._folder, self._frames, views=self._views, fps=self._fps, origin=origin)
         return self._sequence

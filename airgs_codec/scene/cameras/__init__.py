@@ -26,10 +26,8 @@ BY_JSON: tuple[tuple[set[str], Form], ...] = (  # by names of the object, or of 
     ({"position", "rotation"}, (forms.read_inria, f"INRIA's {forms.INRIA_CAMERAS}")),
 )
 CAMERA_NAMES = (forms.TRANSFORMS, forms.INRIA_CAMERAS, "sparse", forms.PANOPTIC)  # looked for in this order
-CAMERA_FORMS = (
-    "cameras (transforms.json, INRIA's cameras.json, COLMAP's sparse/, Panoptic's train_meta.json, poses_bounds.npy "
-    "or .splatv)"
-)
+_JSON_FORMS = "transforms.json, INRIA's cameras.json, COLMAP's sparse/, Panoptic's train_meta.json"
+CAMERA_FORMS = f"cameras ({_JSON_FORMS}, poses_bounds.npy or .splatv)"
 
 
 def read_cameras(path: Path) -> list[Camera]:

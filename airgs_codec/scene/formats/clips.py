@@ -18,7 +18,6 @@ widths are stored as they are, without logarithm. T frames of N Gaussians.
 
 from __future__ import annotations
 
-import functools
 import json
 import os
 import shutil
@@ -28,6 +27,7 @@ import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -219,13 +219,12 @@ def open_splat4d(path: Path, bake: Bake) -> Clip:
     frame = check_count(path, FrameHeader(count, 0))
     count_frames(path, fps, frames / fps)
     note = f".splat4d, {count} Gaussians in {frames} frames, {float(fps):g} a second"
-    return Clip((frame,) * frames, fps, functools.partial(_read_splat4d, count), note)
+    return Clip((frame,) * frames, fps, partial(_read_splat4d, count), note)
 
 
 def _read_splat4d(count: int, path: Path, frame: int) -> Gaussians:
     places = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
-    command = shutil.which("splat4d", path=places)
-    if command is None:
+    if (command := shutil.which("splat4d", path=places)) is None:
         raise SceneError(f"{path}: .splat4d files need splats4d: pip install 'airgs-codec[formats]'")
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "frame.splat"
@@ -289,11 +288,11 @@ Load = Callable[[Path], Moving]  # reads a file; raises SceneError, OSError
 
 
 def _open_moving(load: Load, name: str, path: Path, bake: Bake) -> Clip:
-    fps, seconds = bake.fps or DEFAULT_FPS, bake.seconds if bake.seconds is not None else DEFAULT_SECONDS
+    fps, seconds = bake.fps or DEFAULT_FPS, DEFAULT_SECONDS if bake.seconds is None else bake.seconds
     frames, count = count_frames(path, fps, seconds), len(_model(load, path, path.stat().st_mtime_ns).rest)
     note = f"{name}, {count} Gaussians baked to {frames} frames at {float(fps):g} a second: {float(seconds):.4g} s"
     note += " by default, no length is stated" if bake.seconds is None else ""
-    return Clip((FrameHeader(count, 0),) * frames, fps, functools.partial(_frame, load, frames), note)
+    return Clip((FrameHeader(count, 0),) * frames, fps, partial(_frame, load, frames), note)
 
 
 def _frame(load: Load, frames: int, path: Path, frame: int) -> Gaussians:
@@ -301,14 +300,13 @@ def _frame(load: Load, frames: int, path: Path, frame: int) -> Gaussians:
         return _model(load, path, path.stat().st_mtime_ns).at(frame / frames)
 
 
-@functools.lru_cache(maxsize=2)
+@lru_cache(maxsize=2)
 def _model(load: Load, path: Path, _written: int) -> Moving:
     return load(path)
 
 
 def _without_sh(means: Floats, quaternions: Floats, log_scales: Floats, rgb: Floats) -> Gaussians:
-    dc = ((rgb - np.float32(0.5)) / np.float32(SH_C0)).astype(np.float32)
-    nothing = np.zeros(len(means), np.float32)
+    dc, nothing = ((rgb - np.float32(0.5)) / np.float32(SH_C0)).astype(np.float32), np.zeros(len(means), np.float32)
     return Gaussians(means, quaternions, log_scales, nothing, dc, np.zeros((len(means), 0, 3), np.float32))
 
 
@@ -323,9 +321,9 @@ def read_spacetime_ply(path: Path) -> Moving:
         raise SceneError(f"{path}: expected at least one Gaussian, got none")
     columns = read_columns(path, header, vertex, _GROUPS)
     means, motion, quaternions, turns, log_scales, logits, rgb, centres, log_widths = columns
+    rest = _without_sh(means, quaternions, log_scales, rgb)
     with np.errstate(over="ignore"):
         widths = np.exp(log_widths[:, 0])
-    rest = _without_sh(means, quaternions, log_scales, rgb)
     return Moving(rest, motion.reshape(-1, 3, 3), sigmoid(logits[:, 0]), centres[:, 0], widths, turns)
 
 
@@ -354,7 +352,5 @@ def read_splatv(path: Path) -> Moving:
 FOUR_DGS = ClipFormat(".4dgs", (".4dgs",), open_4dgs)
 SPLAT4D = ClipFormat(".splat4d", (".splat4d",), open_splat4d)
 _SPACETIME = "Spacetime Gaussians .ply"
-SPACETIME_PLY = ClipFormat(
-    _SPACETIME, (".ply",), functools.partial(_open_moving, read_spacetime_ply, _SPACETIME), (_SIGN,)
-)
-SPLATV = ClipFormat(".splatv", (".splatv",), functools.partial(_open_moving, read_splatv, ".splatv"))
+SPACETIME_PLY = ClipFormat(_SPACETIME, (".ply",), partial(_open_moving, read_spacetime_ply, _SPACETIME), (_SIGN,))
+SPLATV = ClipFormat(".splatv", (".splatv",), partial(_open_moving, read_splatv, ".splatv"))

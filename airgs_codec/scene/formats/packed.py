@@ -79,16 +79,12 @@ def read_splat_header(path: Path) -> FrameHeader:
 
 
 def read_splat(path: Path) -> Gaussians:
-    read_splat_header(path)
+    count = read_splat_header(path).count
     rows = np.fromfile(path, _ROW)
-    return Gaussians(
-        np.ascontiguousarray(rows["means"]),
-        (rows["rotation"].astype(np.float32) - np.float32(128)) / np.float32(128),
-        logs_of(rows["scales"]),
-        logits_of(rows["rgba"][:, 3] / 255),
-        ((rows["rgba"][:, :3] / 255 - 0.5) / SH_C0).astype(np.float32),
-        np.zeros((len(rows), 0, 3), np.float32),
-    )
+    means, turns, rgba = np.ascontiguousarray(rows["means"]), rows["rotation"].astype(np.float32), rows["rgba"] / 255
+    turns, dc = (turns - np.float32(128)) / np.float32(128), ((rgba[:, :3] - 0.5) / SH_C0).astype(np.float32)
+    rest = np.zeros((count, 0, 3), np.float32)
+    return Gaussians(means, turns, logs_of(rows["scales"]), logits_of(rgba[:, 3]), dc, rest)
 
 
 def write_splat(path: Path, gaussians: Gaussians) -> None:
