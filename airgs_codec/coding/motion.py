@@ -119,7 +119,7 @@ def share_class(
 
 
 def _transform_bits(samples: NDArray[np.floating]) -> float:
-    """About the bits that samples (c, N), in steps, of rows in file order take in an atlas.
+    """Return about the bits that samples (c, N), in steps, of rows in file order take in an atlas.
 
     The Walsh-Hadamard transform of a block of rows is also that of their places in it. A coefficient x takes
     log2(1 + x^2) / 2 bits: the rate of a Gaussian source (Cover and Thomas, Elements of Information Theory, 10.3.2).

@@ -27,6 +27,7 @@ from airgs_codec.errors import ConfigError, FormatError, FrameError
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.layout import COLOUR, DELTA, keyframe_layout
 from airgs_codec.package.package import OPENED, Package, open_package
+from airgs_codec.package.parse import expect
 from airgs_codec.package.tables import STATIC, Atlas
 from airgs_codec.scene.gaussians import Gaussians
 
@@ -118,7 +119,7 @@ def decode_canonical(package: Package, group: int, quality: int, tiers: int | No
 
 
 def _decode_tier(package: Package, group: int, tier: int, quality: int, transform: NDArray[np.float64]) -> Canonical:
-    """The rows of a keyframe tier, which has some; `transform` is the KLT of the group, and so of its base."""
+    """Return the rows of a keyframe tier, which has some; `transform` is the KLT of the group, and so of its base."""
     m, g = package.manifest, package.manifest.groups[group]
     base, width, coarser = m.base_of(group), len(g.tiers[tier].qualities[quality].centres), m.qualities[quality].coarser
     shown, sidecar = read_keyframe(package, group, tier, quality)
@@ -246,8 +247,7 @@ def decode_pictures(package: Package, index: int, level: int, frames: range) -> 
         if shown > first:
             luma = _expect_picture(picture, atlas, media), now
             yield Shown(atlas, luma, units, slopes, float(times[shown - 1]))
-    if shown < last:
-        raise FormatError("bad_picture", media, f"expected {count} pictures, got {shown}")
+    expect(shown >= last, media, f"expected {count} pictures, got {shown}", "bad_picture")
 
 
 def decode_ahead(pictures: Iterator[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:

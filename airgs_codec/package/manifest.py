@@ -9,7 +9,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import chain, product
 from operator import attrgetter
 from typing import Literal, overload
 
@@ -296,11 +296,9 @@ class Manifest(Header):
         yield from (group_path(number + 1) for number in range(len(self.groups)))
 
     def files(self) -> Iterator[str]:
-        """Yield every file of the package but airgs.json and manifest.mpd; reads the table of every group."""
-        yield from self.shared_files()
-        yield from self.table_files()
-        for group in range(len(self.groups)):
-            yield from self.group_files(group)
+        """Return every file of the package but airgs.json and manifest.mpd; reads the table of every group."""
+        groups = map(self.group_files, range(len(self.groups)))
+        return chain(self.shared_files(), self.table_files(), chain.from_iterable(groups))
 
     def entry(self, path: str) -> FileEntry:
         """Return length and digest of a file. Raises FormatError(missing_entry) for one that no table has."""

@@ -22,6 +22,7 @@ from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME, Usage
 from airgs_codec.scene.camera import BLACK, Background, Camera, cameras_from
 from airgs_codec.scene.cameras import CAMERA_NAMES, find_cameras, locate_cameras, read_posed
 from airgs_codec.scene.cameras.forms import distinct, lens_notes
+from airgs_codec.scene.files import require
 from airgs_codec.scene.formats import table
 from airgs_codec.scene.formats.clips import clip_of
 from airgs_codec.scene.formats.form import Axes, Bake, Clip, FrameFormat, FrameHeader
@@ -267,8 +268,7 @@ def _open(place: Path, bake: Bake, views: str | Path | None, fps: Fraction | flo
         headed = [(path, header) for header in clip.headers]
         rate = clip.fps if fps is None else fps
         return sequence_of(folder, headed, views=views, fps=rate, alone=True, clip=clip)
-    if bake != Bake():
-        raise SceneError(f"{place}: expected a clip to bake ({', '.join(table.CLIP_SUFFIXES)}), got frames")
+    require(bake == Bake(), place, f"expected a clip to bake ({', '.join(table.CLIP_SUFFIXES)}), got frames")
     headed = [(path, table.read_frame_header(path)) for path in paths]
     return sequence_of(folder, headed, views=views, fps=fps, alone=alone)
 
@@ -289,8 +289,7 @@ def sequence_of(
     """
     first, degree = frames[0][0], frames[0][1].sh_degree
     for path, header in frames:
-        if header.count == 0:
-            raise SceneError(f"{path}: expected at least one Gaussian, got none")
+        require(header.count, path, "expected at least one Gaussian, got none")
         if header.sh_degree != degree:
             raise SceneError(f"{path}: expected SH degree {degree} as in {first.name}, got {header.sh_degree}")
     paths, headers = zip(*frames, strict=True)
@@ -345,8 +344,7 @@ class GrowingFolder:
         """Raise SceneError where a file is not whole, or no frame was written."""
         for path in self._waiting():
             read_ply(path)
-        if self._sequence is None:
-            raise SceneError(f"{self._folder}: expected at least one .ply frame, got none")
+        require(self._sequence, self._folder, "expected at least one .ply frame, got none")
 
     def _waiting(self) -> list[Path]:
         taken = {path for path, _ in self._frames}

@@ -13,7 +13,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.cameras import colmap, forms
 from airgs_codec.scene.cameras.forms import Posed, distinct
-from airgs_codec.scene.files import SPLATV_MAGIC, expecting
+from airgs_codec.scene.files import SPLATV_MAGIC, expecting, require
 
 Form = tuple[Callable[[Path], Iterable[Posed]], str]  # what reads a file, and what the file is expected to be
 BY_MAGIC: tuple[tuple[bytes, Form], ...] = (
@@ -48,8 +48,7 @@ def read_posed(path: Path) -> list[Posed]:
     reader, words = _form_of(found)
     with expecting(found, words):
         posed = list(reader(found))
-    if not posed:
-        raise SceneError(f"{found}: expected {words}, at least one camera, got none")
+    require(posed, found, f"expected {words}, at least one camera, got none")
     return posed
 
 

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from airgs_codec._arguments import described
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.beside import DEFAULT_FPS, MAX_FPS, exact_number, frame_rate
-from airgs_codec.scene.files import Cursor, expecting, open_splatv
+from airgs_codec.scene.files import Cursor, expecting, open_splatv, require
 from airgs_codec.scene.formats.form import (
     MOST_FRAMES,
     Bake,
@@ -73,8 +73,7 @@ def clip_of(frames: Mapping[str, Any] | Iterable[Frame], fps: Fraction | float) 
             expected = f"expected SH degree {headers[0].sh_degree} as in frame 0"
             raise SceneError(f"frame {number}: sh_rest: {expected}, got {g.sh_degree}")
         stored.add(number, g)
-    if not headers:
-        raise SceneError("frames: expected at least one, got none")
+    require(headers, "frames", "expected at least one, got none")
     return Clip(tuple(headers), rate, stored.read, "frames from arrays")
 
 
@@ -82,8 +81,7 @@ def _by_time(arrays: Mapping[str, Any]) -> list[dict[str, NDArray[np.float32]]]:
     """Return the frames of arrays whose first axis is time."""
     columns = _ours({name: as_floats(name, value, name == NAMES[0]) for name, value in arrays.items()}, "frames")
     shape = columns["means"].shape if "means" in columns else ()
-    if len(shape) != 3:
-        raise SceneError(f"means: expected an array of shape (T, N, 3), got {shape or 'none'}")
+    require(len(shape) == 3, "means", f"expected an array of shape (T, N, 3), got {shape or 'none'}")
     for name, column in columns.items():
         if column.shape[:1] != shape[:1]:
             raise SceneError(f"{name}: expected {shape[0]} frames as of means, got the shape {column.shape}")
@@ -125,8 +123,7 @@ def _checked(frame: Frame, where: str) -> Gaussians:
         g = Gaussians(**columns)
     except SceneError as error:
         raise SceneError(f"{where}: {error}") from None
-    if not len(g):
-        raise SceneError(f"{where}: expected at least one Gaussian, got none")
+    require(len(g), where, "expected at least one Gaussian, got none")
     for name, column in g.columns().items():
         with np.errstate(over="ignore"):
             narrow = column.astype(np.float32, copy=False)  # what becomes infinite is refused
@@ -233,8 +230,7 @@ def _read_splat4d(count: int, path: Path, frame: int) -> Gaussians:
         if reason or not target.is_file():
             raise SceneError(f"{path}: expected .splat4d, got what splat4d cannot read at frame {frame}: {reason}")
         g = read_splat(target)
-    if len(g) != count:
-        raise SceneError(f"{path}: expected {count} Gaussians in frame {frame} as its header says, got {len(g)}")
+    require(len(g) == count, path, f"expected {count} Gaussians in frame {frame} as its header says, got {len(g)}")
     return g
 
 
@@ -317,8 +313,7 @@ def read_spacetime_ply(path: Path) -> Moving:
         raise SceneError(f"{path}: expected the properties of Spacetime Gaussians, missing {', '.join(missing)}")
     if not names.isdisjoint(_NETWORK):
         raise SceneError(f"{path}: expected Spacetime Gaussians of the lite model, got colours of a network")
-    if not vertex.count:
-        raise SceneError(f"{path}: expected at least one Gaussian, got none")
+    require(vertex.count, path, "expected at least one Gaussian, got none")
     columns = read_columns(path, header, vertex, _GROUPS)
     means, motion, quaternions, turns, log_scales, logits, rgb, centres, log_widths = columns
     rest = _without_sh(means, quaternions, log_scales, rgb)

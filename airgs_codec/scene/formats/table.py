@@ -21,7 +21,7 @@ from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.places.whole import atomic_path, staged_files
 from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME, Settings, write_settings
 from airgs_codec.scene.camera import BLACK, Background
-from airgs_codec.scene.files import expecting
+from airgs_codec.scene.files import expecting, require
 from airgs_codec.scene.formats.clips import FOUR_DGS, SPACETIME_PLY, SPLAT4D, SPLATV, as_gaussians
 from airgs_codec.scene.formats.form import ClipFormat, FrameFormat, FrameHeader, Losses
 from airgs_codec.scene.formats.gltf import GLTF
@@ -92,8 +92,7 @@ def read(path: str | Path) -> Gaussians:
     Raises SceneError for a broken one, one of no format or of many frames, and positions that float32 cannot hold.
     """
     _, paths, _ = find_frames(Path(path_argument("path", path)))
-    if len(paths) != 1:
-        raise SceneError(f"{path}: expected one frame, got {len(paths)}")
+    require(len(paths) == 1, path, f"expected one frame, got {len(paths)}")
     g = read_frame(paths[0])
     if g.means.dtype != np.float32 and choose_origin(g) != ZERO:
         raise SceneError(f"{path}: expected positions near zero, got some that float32 cannot hold: open_sequence can")
@@ -117,8 +116,7 @@ def find_frames(place: Path) -> tuple[Path, tuple[Path, ...], bool]:
         place = place.parent
     if place.is_file() or is_sog_folder(place):
         return place.parent, (place,), True
-    if not place.is_dir():
-        raise SceneError(f"{place}: expected a folder of frames or a file, got nothing")
+    require(place.is_dir(), place, "expected a folder of frames or a file, got nothing")
     if (place / LEVELS).exists():
         raise SceneError(f"{place}: expected frames, got levels of detail ({LEVELS}): splat-transform converts them")
     paths = sorted(filter(is_frame, place.iterdir()), key=lambda path: (natural_key(path), path.name))
