@@ -15,6 +15,7 @@ from airgs_codec.coding.escapes import UNIT, Bases
 from airgs_codec.errors import SceneError
 from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, MIN_PICTURE_SIDE, Atlas
 
+Samples = NDArray[np.uint8]
 CELLS = BLOCK * BLOCK
 GREY = 128
 CODE_LIMIT = 1 << 30  # |code| stays below it, so that sums of a code, a centre and a base fit int32
@@ -160,9 +161,7 @@ def extract(picture: NDArray[np.uint8], atlas: Atlas, rows: slice = slice(None))
     return samples
 
 
-def read_codes(
-    picture: NDArray[np.uint8], atlas: Atlas, bases: Bases | NDArray[np.int32], rows: slice = slice(None)
-) -> NDArray[np.int32]:
+def read_codes(picture: Samples, atlas: Atlas, bases: Bases, rows: slice = slice(None)) -> NDArray[np.int32]:
     """Return the codes (channels, n) of some rows from a picture and the bases (P, N) in force.
 
     A channel without a plane is its centre.

@@ -17,7 +17,8 @@ from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_some
 from airgs_codec.package.parse import expect
 
 UNIT = 128  # codes that a base of 1 stands for
-Bases = Sequence[NDArray[np.int32] | None]  # those in force, (N,) of each plane; None for a plane before its first jump
+# Those in force, (N,) of each plane; None for a plane before its first jump.
+Bases = Sequence[NDArray[np.int32] | None] | NDArray[np.int32]
 # |luma - 128| never exceeds it as encoded. Decoded luma must stay within 16 and 235, which leaves 11 levels for the
 # error of the video codec: at the QP of deltas 10 is the largest met in noise of every kind, 6 in real scenes.
 LIMIT = 96

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from airgs_codec.package.layout import COLOUR, DELTA
 from airgs_codec.package.tables import BLOCK, DELTA_ATTRIBUTES, LEAST_CLASS, MOST_CLASS, DeltaSteps, KeyframeSteps
-from airgs_codec.scene.gaussians import Floats, Gaussians
+from airgs_codec.scene.gaussians import Doubles, Floats, Gaussians
 
+Classes = NDArray[np.int16]
 LEAVES = 1e4  # steps
 FLOOR = 0.01  # of the median: rows that the given views hardly see may be seen from others
 _KEYFRAME = KeyframeSteps(quaternions=0.025, log_scales=0.08, opacity=0.014, sh_dc=0.036, sh_rest=0.04)
@@ -74,7 +75,7 @@ def scale_steps(steps: StepSettings, factors: Mapping[str, float]) -> StepSettin
     return steps
 
 
-def motion_classes(sensitivity: NDArray[np.float64], floor: float, scale: float = 1.0) -> NDArray[np.int16]:
+def motion_classes(sensitivity: Doubles, floor: float, scale: float = 1.0) -> Classes:
     """Return (N,) motion classes of (N,) mean squared derivatives of pictures by the rows' means, 1 / world unit^2.
 
     The motion unit is the power of two nearest to the fourth root of 1 / `sensitivity`, with lengths in units of
@@ -85,11 +86,11 @@ def motion_classes(sensitivity: NDArray[np.float64], floor: float, scale: float 
     return np.clip(np.rint(wanted), LEAST_CLASS, MOST_CLASS).astype(np.int16)
 
 
-def motion_units(classes: NDArray[np.int16]) -> NDArray[np.float32]:
+def motion_units(classes: Classes) -> NDArray[np.float32]:
     return np.exp2(classes.astype(np.float32))
 
 
-def classify_motion(sensitivity: NDArray[np.float64], g: Gaussians, scale: float) -> NDArray[np.int16]:
+def classify_motion(sensitivity: Doubles, g: Gaussians, scale: float) -> Classes:
     """Return (N,) motion classes by (N,) `sensitivity`, or by the median size where no row is seen."""
     if len(seen := sensitivity[sensitivity > 0]):
         return motion_classes(sensitivity, FLOOR * float(np.median(seen)), scale)
@@ -97,9 +98,7 @@ def classify_motion(sensitivity: NDArray[np.float64], g: Gaussians, scale: float
     return np.full(len(g), round(math.log2(size / scale)), np.int16)
 
 
-def share_class(
-    classes: NDArray[np.int16], sensitivity: Floats, displacements: Iterable[Floats], step: float
-) -> NDArray[np.int16]:
+def share_class(classes: Classes, sensitivity: Floats, displacements: Iterable[Floats], step: float) -> Classes:
     """Return (N,) motion classes, or one for all rows where their displacements take fewer bits with it.
 
     `classes` and `sensitivity` (N,) are those of rows in file order, `displacements` (3, N) of some frames, in world
@@ -130,16 +129,14 @@ def _transform_bits(samples: NDArray[np.floating]) -> float:
 
 
 @functools.cache
-def _hadamard(order: int) -> NDArray[np.float64]:
+def _hadamard(order: int) -> Doubles:
     matrix: NDArray[Any] = np.ones((1, 1))
     while len(matrix) < order:
         matrix = np.kron([[1, 1], [1, -1]], matrix) / math.sqrt(2)
     return matrix
 
 
-def channel_weights(
-    classes: NDArray[np.int16], sensitivity: NDArray[np.float64], steps: DeltaSteps, transform: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def channel_weights(classes: Classes, sensitivity: Doubles, steps: DeltaSteps, transform: Doubles) -> Doubles:
     """Return (10 + C, N) what an error of one step in a delta channel adds to the mean squared error of pictures.
 
     `sensitivity` (6, N): mean squared derivatives of pictures by each of DELTA_ATTRIBUTES, summed over its channels.
@@ -159,6 +156,6 @@ def channel_weights(
     return weights
 
 
-def withheld_error(changes: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+def withheld_error(changes: Doubles, weights: Doubles) -> Doubles:
     """Return (N,) the mean squared error of pictures when changes (T, 10 + C, N), in steps, are not sent."""
     return np.einsum("tcn,tcn,cn->n", changes, changes, weights, optimize=True) / len(changes)

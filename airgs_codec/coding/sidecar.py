@@ -18,12 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.escapes import Escapes, read_columns
+from airgs_codec.coding.motion import Classes
 from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_columns, sum_gaps
 from airgs_codec.errors import FormatError, SceneError
 from airgs_codec.package.parse import expect
 from airgs_codec.package.tables import GRID_BITS, LEAST_CLASS, MOST_CLASS, MOST_WIDER, STATIC, Grid
 from airgs_codec.scene.gaussians import morton_decode, morton_encode
 
+Codes = NDArray[np.uint64]  # Morton codes
 HALF = 1 << (GRID_BITS - 1)  # steps from the middle of the grid to its sides
 ORIGIN_STEPS = 1 << 12  # whose multiples origins are: one row more rarely moves where larger cells begin
 INSIDE = 0.9  # share of the rows that are surely in the box
@@ -31,7 +33,7 @@ MOST_REACH = 1e30  # world units
 EXACT = 50  # bits of a coordinate in steps that float64 holds, and halves of it
 
 
-def cell_bits(cells: NDArray[np.int16], grid: Grid, coarser: int = 0) -> NDArray[np.int64]:
+def cell_bits(cells: Classes, grid: Grid, coarser: int = 0) -> NDArray[np.int64]:
     """Return (N,) b of rows: a cell is 2^b steps of its own grid wide.
 
     `coarser` is that of a keyframe quality, which multiplies the side of cells by 2^coarser.
@@ -39,9 +41,7 @@ def cell_bits(cells: NDArray[np.int16], grid: Grid, coarser: int = 0) -> NDArray
     return np.minimum(np.clip(cells.astype(np.int64) - grid.finest, 0, GRID_BITS) + coarser, GRID_BITS)
 
 
-def grid_codes(
-    means: NDArray[np.floating], classes: NDArray[np.int16], grid: Grid
-) -> tuple[NDArray[np.uint64], NDArray[np.int16]]:
+def grid_codes(means: NDArray[np.floating], classes: Classes, grid: Grid) -> tuple[Codes, Classes]:
     """Return (N,) Morton codes of the finest cells of means (N, 3), and (N,) e of the grid that each lies in.
 
     `grid_means` is at most half a cell off on an axis.
@@ -54,15 +54,13 @@ def grid_codes(
     return morton_encode(index >> bits << bits), wider
 
 
-def coarse_codes(codes: NDArray[np.uint64], cells: NDArray[np.int16], grid: Grid, coarser: int) -> NDArray[np.uint64]:
+def coarse_codes(codes: Codes, cells: Classes, grid: Grid, coarser: int) -> Codes:
     """Return (N,) Morton codes of the cells of a keyframe quality that hold cells as fine or finer, given by codes."""
     low = (3 * cell_bits(cells, grid, coarser)).astype(np.uint64)
     return codes >> low << low
 
 
-def grid_means(
-    codes: NDArray[np.uint64], classes: NDArray[np.int16], wider: NDArray[np.int16], grid: Grid, coarser: int = 0
-) -> NDArray[np.float64]:
+def grid_means(codes: Codes, classes: Classes, wider: Classes, grid: Grid, coarser: int = 0) -> NDArray[np.float64]:
     """Return (N, 3) middles, in world units, of the cells of a keyframe quality that hold cells as fine or finer."""
     cells = classes - wider
     half = np.exp2(cell_bits(cells, grid, coarser))[:, None] / 2
@@ -70,7 +68,7 @@ def grid_means(
     return grid.step * (np.add(grid.origin, HALF, dtype=np.float64) + np.ldexp(away, wider[:, None].astype(np.int32)))
 
 
-def fit_grid(means: NDArray[np.float32], classes: NDArray[np.int16], cell: float) -> Grid:
+def fit_grid(means: NDArray[np.float32], classes: Classes, cell: float) -> Grid:
     """Return the grid of means (N, 3) whose cells are `cell` motion units wide.
 
     Where the finest class would need more than GRID_BITS bits an axis for INSIDE of the rows, it shares the cells of a
@@ -95,13 +93,13 @@ class KeyframeSidecar:
     Where keyframes are differences to those of an earlier group, which has the means and classes, only depths are sent.
     """
 
-    codes: NDArray[np.uint64]  # (N,) Morton codes of the canonical means
-    classes: NDArray[np.int16]  # (N,) motion classes, -128..127
-    wider: NDArray[np.int16]  # (N,) e of the grid, 2^e times as wide, that a row lies in; 0 but far away
+    codes: Codes  # (N,) Morton codes of the canonical means
+    classes: Classes  # (N,) motion classes, -128..127
+    wider: Classes  # (N,) e of the grid, 2^e times as wide, that a row lies in; 0 but far away
     depths: NDArray[np.uint8]  # (N,) deepest level that carries a row; STATIC: none
 
     @property
-    def cells(self) -> NDArray[np.int16]:
+    def cells(self) -> Classes:
         return self.classes - self.wider
 
 

@@ -237,7 +237,7 @@ class SoundTrack:
 
 
 def encode_sound(path: Path, seconds: Fraction) -> SoundTrack:
-    """Encode the first sound of a file for a sequence of so many seconds, cut or followed by silence.
+    """Encode the first sound of a file for a sequence of `seconds`, cut or followed by silence.
 
     Raises SceneError for a file without sound and a sequence longer than MOST_S, CodecError when the encoder fails.
     """

@@ -33,6 +33,7 @@ from airgs_codec.package.tables import (
 TABLES_IN_MEMORY = 1024  # of groups
 EMPTY = Spans([], [], [], "")
 Count = Literal["groups", "frames", "segments"]
+Index = tuple[list[Spans], dict[str, Spans]]  # levels in the root, and pages by their paths
 ReadPage = Callable[[str, Entry], Spans]  # path and what is said of a page -> the page
 
 
@@ -40,7 +41,7 @@ def count_groups(index: Sequence[Spans]) -> int:
     return sum(len(spans) * PAGE**level for level, spans in enumerate(index))
 
 
-def build_index(groups: Sequence[Group], tables: Sequence[bytes]) -> tuple[list[Spans], dict[str, Spans]]:
+def build_index(groups: Sequence[Group], tables: Sequence[bytes]) -> Index:
     """Return the index of groups whose tables are these bytes, and its pages by their paths."""
     index: list[Spans] = []
     pages: dict[str, Spans] = {}
@@ -50,9 +51,7 @@ def build_index(groups: Sequence[Group], tables: Sequence[bytes]) -> tuple[list[
     return index, pages
 
 
-def extend_index(
-    index: Sequence[Spans], number: int, group: Group, table: bytes
-) -> tuple[list[Spans], dict[str, Spans]]:
+def extend_index(index: Sequence[Spans], number: int, group: Group, table: bytes) -> Index:
     """Return the index with one more group, counted from 0, whose table is these bytes, and the pages that it fills.
 
     As in a number in base PAGE, a level that would have PAGE entries has none, and the one above has one more: a page.

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.parse import LEAST_SCALE, MOST_SCALE, fault_of
@@ -25,6 +25,7 @@ from airgs_codec.places.whole import expect_plain
 from airgs_codec.scene.camera import BLACK, Background, Camera, look_at
 from airgs_codec.scene.formats.form import Axes
 from airgs_codec.scene.frames import Origin
+from airgs_codec.scene.gaussians import Doubles
 
 AGREEMENT = 0.1  # directions whose mean is shorter do not agree on where up is
 FORGIVEN_DEGREES = 1e-4  # beyond the turn, by which players let viewers look further aside
@@ -32,7 +33,6 @@ FORGIVEN_SHARE = 1e-9  # of how far the focus is, or a coordinate, beyond the re
 LEVELLING = 100  # steps to what is upright: with more, rounding would speak where places say nothing
 DECIDING, MEASURING, CHECKING = 0, 1, 2  # seeds of draws: for an encoder, for its tables, for whoever checks them
 AXES = {sign + name: tuple(int(f"{sign}1") * (name == axis) for axis in "xyz") for name in "xyz" for sign in ("", "-")}
-Vector = NDArray[np.float64]
 
 
 def place_view(region: Region, place: Place, name: str = "place") -> Camera:
@@ -51,7 +51,7 @@ def levelled(region: Region, world: World | None) -> Region:
     return replace(region, places=places) if world else region
 
 
-def upright(region: Region) -> Vector:
+def upright(region: Region) -> Doubles:
     """Return (3,) up for all of a region, of length 1: the mean of its places' (of the first, where they do not agree).
 
     It is levelled: the sides of pictures are at right angles to it.
@@ -60,7 +60,7 @@ def upright(region: Region) -> Vector:
     ups /= np.linalg.norm(ups, axis=1, keepdims=True)
     ahead = [np.array(place.focus, np.float64) - place.position for place in region.places]
     sides = np.cross([direction / np.linalg.norm(direction) for direction in ahead], ups)
-    mean: Vector = ups.mean(axis=0)
+    mean: Doubles = ups.mean(axis=0)
     up = mean / length if (length := np.linalg.norm(mean)) > AGREEMENT else ups[0]
     for _ in range(LEVELLING):
         up = up - sides.T @ (sides @ up) / len(sides)
@@ -68,7 +68,7 @@ def upright(region: Region) -> Vector:
     return up
 
 
-def view_from(region: Region, position: Vector, target: Vector, up: Vector, name: str) -> Camera:
+def view_from(region: Region, position: Doubles, target: Doubles, up: Doubles, name: str) -> Camera:
     square = look_at(position, target, up, size=region.height, fov_y=float(np.radians(region.fov_y)), name=name)
     behind = background_of(region)
     return replace(square, width=region.width, cx=region.width / 2, near=region.near, background=behind)
@@ -172,7 +172,7 @@ def world_at(world: World, origin: Origin) -> World:
     return replace(world, transform=rows.ravel().tolist())
 
 
-def up_of(world: World) -> Vector:
+def up_of(world: World) -> Doubles:
     """Return (3,) up in the coordinates of the scene, of length 1."""
     row = np.array(world.transform[4:7])
     return np.asarray(row / np.linalg.norm(row))

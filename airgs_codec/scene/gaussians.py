@@ -27,6 +27,7 @@ SATURATED_LOGIT = np.float32(math.log(1019))  # a quarter of a step of 1/255 off
 LARGEST = 30.0  # ln(world units) of a scale that counts: the squares of larger ones leave float32
 SMALL_ANGLE = 1e-8  # radians, below which sin(a/2)/a is 1/2 to float64 precision; above it the division is safe
 Floats = NDArray[np.floating]
+Doubles = NDArray[np.float64]
 _SHAPES = {"means": (3,), "quaternions": (4,), "log_scales": (3,), "opacity_logits": (), "sh_dc": (3,)}  # past N
 # Each step moves the bits of a 21-bit number away from each other: shift, then mask.
 _MASKS = [0x1FFFFF, 0x1F00000000FFFF, 0x1F0000FF0000FF, 0x100F00F00F00F00F, 0x10C30C30C30C30C3, 0x1249249249249249]

@@ -2,9 +2,9 @@
 
 - nerfstudio's transforms.json: OpenGL camera-to-world matrices, one entry for each picture; sizes in pixels. What all
   entries share, but for the matrix, may be next to `frames`. Pictures, masks and points may lie anywhere: an absolute
-  path is taken as it is, and another may leave the folder. Beside nerfstudio's fields an entry may have `camera`, a
-  name that is the same at all times, `time_index` or `time`, `near` in world units, and `split`, "test" for a held-out
-  camera; nerfstudio's own lists `test_filenames` and `val_filenames` mark held-out pictures, too.
+  path is taken as it is, and another may leave the folder. Our own fields of an entry are `camera`, a name that is the
+  same at all times, `time_index` or `time`, `near` in world units, and `split`, "test" for a held-out camera;
+  nerfstudio's own lists `test_filenames` and `val_filenames` mark held-out pictures, too.
 - INRIA's cameras.json, as gaussian-splatting (Kerbl et al. 2023) writes it with its models: a list of {id, img_name,
   width, height, position, rotation, fx, fy}. The rotation is camera-to-world in OpenCV's axes, the principal point is
   the middle of the picture, held-out cameras are not marked.

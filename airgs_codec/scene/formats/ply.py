@@ -115,9 +115,7 @@ def _parse(lines: Sequence[str], size: int) -> PlyHeader:
     return PlyHeader(form == "ascii", elements, size)
 
 
-def read_columns(
-    path: Path, header: PlyHeader, element: Element, groups: Sequence[Sequence[str]]
-) -> list[NDArray[Any]]:
+def read_columns(path: Path, header: PlyHeader, element: Element, groups: Sequence[Sequence[str]]) -> list[NDArray]:
     """Read an (N, len(names)) array for each group of property names; elements that follow are ignored.
 
     It is float32, but the first float64 where its properties do not fit that. Raises SceneError when the element or one
