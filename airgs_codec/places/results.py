@@ -65,11 +65,11 @@ def open_store(place: str | Path) -> Store:
     return Store(Folder(path))
 
 
-def load(store: Store, entry: str) -> tuple[Any] | None:
+def load(store: Store, entry: str, trusted: tuple[str, ...] = OWN) -> tuple[Any] | None:
     """Return a stored value in a tuple; None where there is none. One that cannot be read is removed."""
     data = store.read(entry)
     try:
-        return None if data is None else (unpack(data),)
+        return None if data is None else (unpack(data, trusted),)
     except ValueError:
         store.discard(entry)
         return None
