@@ -15,6 +15,7 @@ from airgs_codec.coding.escapes import UNIT, Bases
 from airgs_codec.errors import SceneError
 from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, MIN_PICTURE_SIDE, Atlas
 
+Samples = NDArray[np.uint8]
 CELLS = BLOCK * BLOCK
 GREY = 128
 CODE_LIMIT = 1 << 30  # |code| stays below it, so that sums of a code, a centre and a base fit int32
@@ -32,8 +33,8 @@ def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: floa
     since nothing is clipped, SceneError for a step that is not within STEP_LIMITS.
     """
     low, high = STEP_LIMITS
-    if not ((steps >= low) & (steps <= high)).all():
-        channel = int(np.argmin((steps >= low) & (steps <= high)))
+    if not (fits := (steps >= low) & (steps <= high)).all():
+        channel = int(np.argmin(fits))
         raise SceneError(f"channel {first + channel}: expected a step of {low:g} to {high:g}, got {steps[channel]:g}")
     codes = values * (gain / steps)[:, None]
     np.rint(codes, out=codes)
@@ -86,9 +87,8 @@ def fit_atlas(codes: NDArray[np.int32], limit: float, omitted: NDArray[np.bool_]
     A channel of the mask `omitted` (channels,) has none either; its centre is its median.
     """
     fits = [fit_centre(codes[:, channel], limit) for channel in range(codes.shape[1])]
-    varies = np.array([fit[1] for fit in fits])
-    planes = np.flatnonzero(varies if omitted is None else varies & ~omitted).tolist()
-    return make_atlas(codes.shape[2], [fit[0] for fit in fits], planes)
+    planes = [c for c, (_, varies) in enumerate(fits) if varies and (omitted is None or not omitted[c])]
+    return make_atlas(codes.shape[2], [centre for centre, _ in fits], planes)
 
 
 def fit_centre(codes: NDArray[np.int32], limit: float) -> tuple[int, bool]:
@@ -114,25 +114,21 @@ def centre_codes(codes: NDArray[np.int32], atlas: Atlas) -> NDArray[np.int32]:
 @lru_cache(maxsize=8)
 def row_places(rows: int, plane_width: int, stride: int) -> NDArray[np.intp]:
     """Return (N,) the place of each row's sample in a plane, line by line in a picture with lines of `stride`."""
-    i = np.arange(rows)
-    block, cell = i // CELLS, i % CELLS
+    block, cell = np.divmod(np.arange(rows), CELLS)
     x, y = np.zeros(rows, np.intp), np.zeros(rows, np.intp)
     for bit in range(4):
         x |= ((cell >> (2 * bit)) & 1) << bit
         y |= ((cell >> (2 * bit + 1)) & 1) << bit
-    blocks_wide = plane_width // BLOCK
-    x += block % blocks_wide * BLOCK
-    y += block // blocks_wide * BLOCK
-    places = y * stride + x
+    down, across = np.divmod(block, plane_width // BLOCK)
+    places = (y + down * BLOCK) * stride + x + across * BLOCK
     places.flags.writeable = False
     return places
 
 
 def plane_starts(atlas: Atlas, stride: int) -> list[int]:
     """Return (P,) the place of the first sample of each plane in a picture with lines of `stride` samples."""
-    height = atlas.plane_height
     down_across = (divmod(plane, atlas.columns) for plane in range(len(atlas.planes)))
-    return [down * height * stride + across * atlas.plane_width for down, across in down_across]
+    return [down * atlas.plane_height * stride + across * atlas.plane_width for down, across in down_across]
 
 
 def assemble(samples: NDArray[np.uint8], atlas: Atlas, width: int, height: int) -> NDArray[np.uint8]:
@@ -161,22 +157,21 @@ def extract(picture: NDArray[np.uint8], atlas: Atlas, rows: slice = slice(None))
     flat = np.lib.stride_tricks.as_strided(picture, (stride * (len(picture) - 1) + picture.shape[1],), (1,))
     places = row_places(atlas.rows, atlas.plane_width, stride)[rows]
     for plane, first in zip(samples, plane_starts(atlas, stride), strict=True):
-        plane[:] = flat[first:].take(places)
+        flat[first:].take(places, out=plane, mode="clip")  # all are inside; "raise" would copy
     return samples
 
 
-def read_codes(
-    picture: NDArray[np.uint8], atlas: Atlas, bases: Bases | NDArray[np.int32], rows: slice = slice(None)
-) -> NDArray[np.int32]:
+def read_codes(picture: Samples, atlas: Atlas, bases: Bases, rows: slice = slice(None)) -> NDArray[np.int32]:
     """Return the codes (channels, n) of some rows from a picture and the bases (P, N) in force.
 
     A channel without a plane is its centre.
     """
     start, stop, _ = rows.indices(atlas.rows)
-    codes = np.repeat(np.array(atlas.centres, np.int32)[:, None], stop - start, axis=1)
+    zeros = np.array(atlas.centres, np.int32)  # the codes of the sample 0, where a channel has a plane
+    zeros[atlas.planes] -= GREY
+    codes = np.repeat(zeros[:, None], stop - start, axis=1)
     for channel, samples, base in zip(atlas.planes, extract(picture, atlas, rows), bases, strict=True):
         codes[channel] += samples
-        codes[channel] -= GREY
         if base is not None:
             codes[channel] += UNIT * base[rows]
     return codes

@@ -14,6 +14,7 @@ import base64
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from airgs_codec.errors import FormatError
 from airgs_codec.package.layout import COLOUR, DELTA, KEYFRAME, Layout
 from airgs_codec.package.tables import TRANSFORM_UNITS, DeltaSteps, Grid, KeyframeSteps
 from airgs_codec.scene.columns import SHARED, Columns
-from airgs_codec.scene.gaussians import Gaussians, conjugate, multiply, sigmoid, to_rotation_vector
+from airgs_codec.scene.gaussians import Doubles, Gaussians, conjugate, multiply, sigmoid, to_rotation_vector
 
 _MEANS, _SCALES, _OPACITY = (DELTA.slice(name) for name in ("means", "log_scales", "opacity"))
 FURTHEST = float(1 << 26)  # steps that a row moves from its canonical mean, so that codes stay below 2^30
@@ -41,14 +42,14 @@ Channels = NDArray[np.float32] | Callable[[slice], NDArray[np.float32]]  # (c, N
 class Canonical(Columns):
     """The canonical space of a group as decoded from its keyframe tiers; rows in file order."""
 
-    means: NDArray[np.float64]  # (N, 3) world units, in the middle of cells
+    means: Doubles  # (N, 3) world units, in the middle of cells
     motion_units: NDArray[np.float32]  # (N,) world units
     quaternions: NDArray[np.float32]  # (N, 4) unit
     log_scales: NDArray[np.float32]  # (N, 3) ln(world units)
     opacity: NDArray[np.float32]  # (N,) alpha; may leave [0, 1] by coding error
     colour: NDArray[np.float32]  # (N, C)
     depths: NDArray[np.uint8]  # (N,) deepest level that carries the row; STATIC: none
-    transform: NDArray[np.float64] = field(metadata=SHARED)  # (C, C) KLT, as stored
+    transform: Doubles = field(metadata=SHARED)  # (C, C) KLT, as stored
 
     def to_gaussians(self) -> Gaussians:
         """Return the canonical space as a frame: what is shown where no delta says otherwise."""
@@ -57,7 +58,7 @@ class Canonical(Columns):
         return Gaussians(self.means.astype(np.float32), self.quaternions, self.log_scales, logits, dc, rest)
 
 
-Make = Callable[[Gaussians, Canonical, NDArray[np.float64]], NDArray[np.floating]]
+Make = Callable[[Gaussians, Canonical, Doubles], NDArray[np.floating]]
 Put = Callable[[NDArray[np.float32], Canonical, NDArray[np.float32]], NDArray[np.floating]]
 # How rows g become (N, c) channels of an attribute over a canonical space b, and what decoded channels x (c, N) make of
 # its column in b; s (C,) are the steps of colours before the KLT. Decoders keep the order of operations.
@@ -66,10 +67,7 @@ ATTRIBUTES: dict[str, tuple[Make, Put]] = {
         lambda g, b, s: (g.means - b.means) / b.motion_units[:, None],
         lambda x, b, s: b.means + (x * b.motion_units).T,
     ),
-    "log_scales": (
-        lambda g, b, s: g.log_scales.astype(np.float64) - b.log_scales,
-        lambda x, b, s: b.log_scales + x.T,
-    ),
+    "log_scales": (lambda g, b, s: g.log_scales.astype(np.float64) - b.log_scales, lambda x, b, s: b.log_scales + x.T),
     "quaternions": (
         lambda g, b, s: to_rotation_vector(multiply(g.quaternions, conjugate(b.quaternions.astype(np.float64)))),
         lambda x, b, s: multiply(kernels.to_quaternions(x), b.quaternions),
@@ -85,33 +83,26 @@ ATTRIBUTES: dict[str, tuple[Make, Put]] = {
 }
 
 
-def blank_space(
-    means: NDArray[np.float64], units: NDArray[np.float32], log_scale: float, transform: NDArray[np.float64]
-) -> Canonical:
+def blank_space(means: Doubles, units: NDArray[np.float32], log_scale: float, transform: Doubles) -> Canonical:
     """Return the base of keyframe channels: rows at `means` (N, 3) of one size, without rotation or colour."""
-    row = [np.array([1, 0, 0, 0]), np.full(3, log_scale), np.zeros(()), np.zeros(len(transform))]
-    quaternions, sizes, opacity, colour = (
-        np.broadcast_to(value.astype(np.float32), (len(means), *value.shape)) for value in row
-    )
-    depths = np.zeros(len(means), np.uint8)
-    return Canonical(means, units, quaternions, sizes, opacity, colour, depths, transform)
+    row = np.array([1.0, 0, 0, 0]), np.full(3, log_scale), np.zeros(()), np.zeros(len(transform))
+    columns = (np.broadcast_to(value.astype(np.float32), (len(means), *value.shape)) for value in row)
+    turns, sizes, opacity, colour = columns
+    return Canonical(means, units, turns, sizes, opacity, colour, np.zeros(len(means), np.uint8), transform)
 
 
-def join_canonical(parts: Sequence[Canonical], transform: NDArray[np.float64]) -> Canonical:
-    if not parts:
-        return blank_space(np.empty((0, 3)), np.empty(0, np.float32), 0.0, transform)
-    return Canonical.join(parts)
+def join_canonical(parts: Sequence[Canonical], transform: Doubles) -> Canonical:
+    nothing = blank_space(np.empty((0, 3)), np.empty(0, np.float32), 0.0, transform)
+    return Canonical.join(parts) if parts else nothing
 
 
-def keyframe_channels(
-    g: Gaussians, transform: NDArray[np.float64], steps: KeyframeSteps, unit: float
-) -> NDArray[np.float64]:
+def keyframe_channels(g: Gaussians, transform: Doubles, steps: KeyframeSteps, unit: float) -> Doubles:
     """Return (7 + C, N) channels of the canonical frame; `transform` is the (C, C) KLT as stored."""
     base = blank_space(g.means.astype(np.float64), np.ones(len(g), np.float32), 0.0, transform)
     return _make(KEYFRAME, replace(g, log_scales=g.log_scales - math.log(unit)), base, steps)
 
 
-def _make(kind: Layout, g: Gaussians, base: Canonical, steps: KeyframeSteps | DeltaSteps) -> NDArray[np.float64]:
+def _make(kind: Layout, g: Gaussians, base: Canonical, steps: KeyframeSteps | DeltaSteps) -> Doubles:
     width = len(base.transform)
     scale, out = colour_steps(steps, width), np.empty((kind.width(width), len(base.means)))
     for name in kind.attributes:
@@ -122,7 +113,7 @@ def _make(kind: Layout, g: Gaussians, base: Canonical, steps: KeyframeSteps | De
 def dequantise_keyframe(
     channels: Channels,
     sidecar: KeyframeSidecar,
-    transform: NDArray[np.float64],
+    transform: Doubles,
     grid: Grid,
     steps: KeyframeSteps,
     coarser: int = 0,
@@ -138,8 +129,7 @@ def dequantise_keyframe(
         means = grid_means(sidecar.codes, sidecar.classes, sidecar.wider, grid, coarser)
         base = blank_space(means, motion_units(sidecar.classes), math.log(grid.unit), transform)
     before, scale = base, colour_steps(steps, len(transform)).astype(np.float32)
-    columns = {name: getattr(base, name) for name in kind.attributes}
-    out = {name: np.empty(column.shape, column.dtype) for name, column in columns.items()}
+    out = {name: np.empty(getattr(base, name).shape, getattr(base, name).dtype) for name in kind.attributes}
 
     def fill(rows: slice) -> None:
         some, part = _some(channels, rows), before.take(rows)
@@ -150,7 +140,7 @@ def dequantise_keyframe(
     return replace(base, depths=sidecar.depths, **out)
 
 
-def delta_channels(frames: Sequence[Gaussians], base: Canonical, steps: DeltaSteps) -> NDArray[np.float64]:
+def delta_channels(frames: Sequence[Gaussians], base: Canonical, steps: DeltaSteps) -> Doubles:
     """Return (T, 10 + C, N) channels of frames with the rows of `base`.
 
     While a Gaussian has alpha < 1/255 it is not drawn, so its channels but opacity hold the value they had when it was
@@ -166,7 +156,7 @@ def delta_channels(frames: Sequence[Gaussians], base: Canonical, steps: DeltaSte
     return out
 
 
-def frame_channels(g: Gaussians, base: Canonical, steps: DeltaSteps) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def frame_channels(g: Gaussians, base: Canonical, steps: DeltaSteps) -> tuple[Doubles, NDArray[np.bool_]]:
     """Return (10 + C, N) channels of one frame as it is, and (N,) whether a row is drawn.
 
     A row that moves further than codes reach is brought nearer and made as much smaller: it looks the same.
@@ -178,61 +168,56 @@ def frame_channels(g: Gaussians, base: Canonical, steps: DeltaSteps) -> tuple[ND
     return out, sigmoid(g.opacity_logits.astype(np.float64)) >= LEAST_DRAWN
 
 
-def hold_undrawn(channels: NDArray[np.float64], drawn: NDArray[np.bool_]) -> None:
+def hold_undrawn(channels: Doubles, drawn: NDArray[np.bool_]) -> None:
     """Hold the last drawn value of (T, c, N) channels; writes into them. `drawn` is (T, N)."""
     rows = np.flatnonzero(~drawn.all(axis=0))
     drawn = drawn[:, rows]
-    first = channels[np.argmax(drawn, axis=0), :, rows].T
-    last = np.where(drawn.any(axis=0), first, 0.0)
+    last = np.where(drawn.any(axis=0), channels[np.argmax(drawn, axis=0), :, rows].T, 0.0)
     for t in range(len(channels)):
         last = np.where(drawn[t], channels[t][:, rows], last)
         channels[t][:, rows] = last
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class DeltaApplier:
-    """Adds decoded deltas to the n rows of one level; what all frames of a segment share is gathered once."""
+    """Adds decoded deltas to rows (n,) of one level, ascending; what all frames of a segment share is gathered once.
 
-    base: Canonical
-    shown: Gaussians  # the canonical space as a frame
-    rows: NDArray[np.intp]  # (n,) the level's rows among the N, ascending
-    colour_steps: NDArray[np.float32]  # (C,)
-    constant: Sequence[str]  # of quaternions and colour: what no frame changes
+    All channels of what is `constant`, quaternions or colour, are 0.
+    """
 
-    @staticmethod
-    def of(base: Canonical, rows: NDArray[np.intp], steps: DeltaSteps, constant: Sequence[str] = ()) -> DeltaApplier:
-        """Return an applier for these rows (n,); all channels of quaternions or colour that are `constant` are 0."""
-        scale = colour_steps(steps, len(base.transform)).astype(np.float32)
-        return DeltaApplier(base, base.to_gaussians(), rows, scale, constant)
+    def __init__(
+        self, base: Canonical, rows: NDArray[np.intp], steps: DeltaSteps, constant: Sequence[str] = ()
+    ) -> None:
+        self.shown, self.quaternions, self.rows = base.to_gaussians(), base.quaternions, rows
+        self.colour_steps = colour_steps(steps, len(base.transform)).astype(np.float32)
+        before = {"means": self.shown.means, "log_scales": base.log_scales, "opacity": self.shown.opacity_logits}
+        before |= {"quaternions": base.quaternions, COLOUR: base.colour}
+        self.before = {name: column for name, column in before.items() if name not in constant}
+        without: Any = {name: before[name][:, :0] for name in constant}
+        self.level = replace(base, **without).take(kernels.consecutive(rows))
 
     def apply(self, channels: Channels) -> Gaussians:
         """Return the frame that decoded delta channels of the n rows make of the canonical space: all N rows.
 
         Where `channels` is a function from rows to their (10 + C, m) channels, several threads call it.
         """
-        shown, base = self.shown, self.base
-        before = {"means": shown.means, "log_scales": base.log_scales, "opacity": shown.opacity_logits}
-        before |= {name: getattr(base, name) for name in ("quaternions", COLOUR) if name not in self.constant}
-        out = {name: np.empty_like(column) for name, column in before.items()}
+        shown, out = self.shown, {name: np.empty_like(column) for name, column in self.before.items()}
 
         def fill(rows: slice) -> None:
             start, stop = np.searchsorted(self.rows, (rows.start, rows.stop)).tolist()
             if stop - start < rows.stop - rows.start:
                 for name, column in out.items():
-                    column[rows] = before[name][rows]
+                    column[rows] = self.before[name][rows]
             if start == stop:
                 return
-            changed, some = kernels.consecutive(self.rows[start:stop]), _some(channels, slice(start, stop))
-            part = base.take(changed)
+            some, part = _some(channels, slice(start, stop)), self.level.take(slice(start, stop))
+            changed = kernels.consecutive(self.rows[start:stop])
             for name, column in out.items():
                 values = ATTRIBUTES[name][1](some[DELTA.slice(name)], part, self.colour_steps)
                 column[changed] = from_opacity(values) if name == "opacity" else values
 
         kernels.for_chunks(fill, len(shown), WIDTH)
-        dc, rest = shown.sh_dc, shown.sh_rest
-        if COLOUR in out:
-            dc, rest = split_colours(out[COLOUR])
-        quaternions = out.get("quaternions", base.quaternions)
+        dc, rest = split_colours(out[COLOUR]) if COLOUR in out else (shown.sh_dc, shown.sh_rest)
+        quaternions = out.get("quaternions", self.quaternions)
         return Gaussians(out["means"], quaternions, out["log_scales"], out["opacity"], np.ascontiguousarray(dc), rest)
 
 
@@ -257,12 +242,12 @@ def split_colours(channels: NDArray[np.floating]) -> tuple[NDArray[np.floating],
     return channels[..., :3], rest.reshape(*rest.shape[:-1], rest.shape[-1] // 3, 3)
 
 
-def colour_steps(steps: KeyframeSteps | DeltaSteps, channels: int) -> NDArray[np.float64]:
+def colour_steps(steps: KeyframeSteps | DeltaSteps, channels: int) -> Doubles:
     """Return (C,) the step of each colour channel before the KLT; after it every step is 1."""
     return np.where(np.arange(channels) < 3, steps.sh_dc, steps.sh_rest)
 
 
-def fit_colour_transform(scaled: NDArray[np.float64], weights: Sequence[float] = ()) -> NDArray[np.float64]:
+def fit_colour_transform(scaled: Doubles, weights: Sequence[float] = ()) -> Doubles:
     """Return the KLT (C, C) of colours (N, C) in units of their steps: row k is what the k-th strongest direction adds.
 
     It is orthonormal, and the entry of a row that is largest by size positive, so that equal scenes give equal
@@ -283,7 +268,7 @@ def fit_colour_transform(scaled: NDArray[np.float64], weights: Sequence[float] =
     return rows @ np.linalg.inv(mixed) if weights else rows
 
 
-def to_klt(scaled: NDArray[np.float64], transform: NDArray[np.float64]) -> NDArray[np.float64]:
+def to_klt(scaled: Doubles, transform: Doubles) -> Doubles:
     """Return the KLT channels whose product with the transform is colours (..., C) in units of their steps.
 
     The stored transform is rounded, so it is inverted, not transposed.
@@ -291,19 +276,19 @@ def to_klt(scaled: NDArray[np.float64], transform: NDArray[np.float64]) -> NDArr
     return scaled @ np.linalg.inv(transform)
 
 
-def colour_transform(keyframe: Gaussians, steps: KeyframeSteps, weights: Sequence[float] = ()) -> NDArray[np.float64]:
+def colour_transform(keyframe: Gaussians, steps: KeyframeSteps, weights: Sequence[float] = ()) -> Doubles:
     """Return the (C, C) KLT of the colours of a canonical frame, rounded as the table of a group stores it."""
     colour = colours(keyframe.sh_dc, keyframe.sh_rest).astype(np.float64)
     fitted = fit_colour_transform(colour / colour_steps(steps, colour.shape[1]), weights)
     return unpack_matrix(pack_matrix(fitted), len(fitted))
 
 
-def pack_matrix(matrix: NDArray[np.float64]) -> str:
+def pack_matrix(matrix: Doubles) -> str:
     """Return entries in -1..1 as base64 of little-endian int16 in 1 / TRANSFORM_UNITS, row by row."""
     return base64.b64encode(np.rint(matrix * TRANSFORM_UNITS).astype("<i2").tobytes()).decode("ascii")
 
 
-def unpack_matrix(text: str, side: int) -> NDArray[np.float64]:
+def unpack_matrix(text: str, side: int) -> Doubles:
     """Read what `pack_matrix` writes: (side, side). Raises FormatError(bad_value)."""
     try:
         raw = base64.b64decode(text, validate=True)

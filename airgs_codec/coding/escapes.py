@@ -6,6 +6,7 @@ T frames, P planes, N rows; code - centre = luma - 128 + UNIT * base. A sample h
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -13,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_some
-from airgs_codec.errors import FormatError
+from airgs_codec.package.parse import expect
 
 UNIT = 128  # codes that a base of 1 stands for
-Bases = Sequence[NDArray[np.int32] | None]  # those in force, (N,) of each plane; None for a plane before its first jump
+# Those in force, (N,) of each plane; None for a plane before its first jump.
+Bases = Sequence[NDArray[np.int32] | None] | NDArray[np.int32]
 # |luma - 128| never exceeds it as encoded. Decoded luma must stay within 16 and 235, which leaves 11 levels for the
 # error of the video codec: at the QP of deltas 10 is the largest met in noise of every kind, 6 in real scenes.
 LIMIT = 96
@@ -29,7 +31,7 @@ def split(codes: NDArray[np.int32]) -> tuple[NDArray[np.uint8], NDArray[np.int32
     """
     low, high = -((LIMIT - codes) // UNIT), (codes + LIMIT) // UNIT  # bases that serve one frame
     first = np.zeros(codes.shape, np.bool_)  # does a new base start here
-    least, most = np.zeros(codes.shape[1:], np.int32), np.zeros(codes.shape[1:], np.int32)
+    base = least = most = np.zeros(codes.shape[1:], np.int32)
     for t in range(len(codes)):
         least, most = np.maximum(least, low[t]), np.minimum(most, high[t])
         first[t] = least > most
@@ -38,7 +40,6 @@ def split(codes: NDArray[np.int32]) -> tuple[NDArray[np.uint8], NDArray[np.int32
     for t in range(len(codes) - 2, -1, -1):  # the last frame of a run has the bases that serve all of it
         low[t], high[t] = np.where(first[t + 1], (low[t], high[t]), (low[t + 1], high[t + 1]))
     bases = np.empty_like(codes)
-    base = np.zeros(codes.shape[1:], np.int32)
     for t in range(len(codes)):
         base = np.where(first[t], np.clip(base, low[t], high[t]), base)
         bases[t] = base
@@ -49,7 +50,7 @@ def split(codes: NDArray[np.int32]) -> tuple[NDArray[np.uint8], NDArray[np.int32
 class Escapes:
     """The E jumps of the bases of a segment."""
 
-    shape: tuple[int, int, int]  # T, P, N
+    shape: tuple[int, ...]  # T, P, N
     index: NDArray[np.int64]  # (E,) ascending flat indices into the shape
     jumps: NDArray[np.int32]  # (E,)
 
@@ -57,8 +58,7 @@ class Escapes:
     def of(bases: NDArray[np.int32]) -> Escapes:
         jumps = np.diff(bases, axis=0, prepend=np.zeros_like(bases[:1])).ravel()
         index = np.flatnonzero(jumps)
-        frames, planes, rows = bases.shape
-        return Escapes((frames, planes, rows), index, jumps[index])
+        return Escapes(bases.shape, index, jumps[index])
 
     @staticmethod
     def join(planes: Sequence[Escapes]) -> Escapes:
@@ -98,21 +98,17 @@ class Escapes:
             yield bases
 
 
-def read_columns(reader: ColumnReader, shape: tuple[int, int, int]) -> Escapes:
+def read_columns(reader: ColumnReader, shape: tuple[int, ...]) -> Escapes:
     """Read what `Escapes.columns` writes of bases of `shape` (T, P, N).
 
     Raises FormatError(bad_sidecar) when there are more jumps than samples, an index leaves the shape or a jump 31 bits.
     """
-    area = int(np.prod(shape, dtype=np.int64))
-    count = int(reader.column(1, 0)[0])
-    if count > area:
-        raise FormatError("bad_sidecar", reader.where, f"expected at most {area} escapes, got {count}")
-    gaps = reader.column(count, 0)
-    zigzag = reader.column(count, 1)
-    if count and (int(gaps.max()) >= area or (gaps[1:] == 0).any() or int(gaps.sum()) >= area):
-        raise FormatError("bad_sidecar", reader.where, "escapes are not in ascending order inside the segment")
-    if count and int(zigzag.max()) >= 1 << 32:
-        raise FormatError("bad_sidecar", reader.where, "an escape jumps by more than 31 bits")
+    area, count = math.prod(shape), int(reader.column(1, 0)[0])
+    expect(count <= area, reader.where, f"expected at most {area} escapes, got {count}", "bad_sidecar")
+    gaps, zigzag = reader.column(count, 0), reader.column(count, 1)
+    ascend = not count or (int(gaps.max()) < area and (gaps[1:] > 0).all() and int(gaps.sum()) < area)
+    expect(ascend, reader.where, "escapes are not in ascending order inside the segment", "bad_sidecar")
+    expect(int(zigzag.max(initial=0)) < 1 << 32, reader.where, "an escape jumps by more than 31 bits", "bad_sidecar")
     half, sign = (zigzag >> 1).astype(np.int32), (zigzag & 1).astype(np.int32)
     return Escapes(shape, np.cumsum(gaps, out=gaps), np.bitwise_xor(half, -sign, out=half))
 

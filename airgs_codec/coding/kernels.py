@@ -33,11 +33,7 @@ def row_chunks(rows: int, width: int) -> Iterator[slice]:
 def for_chunks(work: Callable[[slice], None], rows: int, width: int) -> None:
     """Call `work` with every chunk, several at a time where there are several: numpy lets other threads run."""
     chunks = list(row_chunks(rows, width))
-    if len(chunks) == 1:
-        work(chunks[0])
-        return
-    for _ in _pool().map(work, chunks):
-        pass
+    list(map(work, chunks) if len(chunks) == 1 else _pool().map(work, chunks))
 
 
 @functools.cache
@@ -50,9 +46,9 @@ if hasattr(os, "register_at_fork"):  # the threads of a pool stay with the paren
 
 
 def consecutive(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
-    """Return ascending rows (n,), n > 0, as a slice where they are consecutive: reading them then copies nothing."""
-    first, last = int(rows[0]), int(rows[-1])
-    return slice(first, last + 1) if last - first == len(rows) - 1 else rows
+    """Return ascending rows (n,) as a slice where they are consecutive: reading them then copies nothing."""
+    whole = len(rows) and rows[-1] - rows[0] == len(rows) - 1
+    return slice(int(rows[0]), int(rows[-1]) + 1) if whole else rows
 
 
 def to_quaternions(vectors: Floats) -> Floats:

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from airgs_codec.package.layout import COLOUR, DELTA
 from airgs_codec.package.tables import BLOCK, DELTA_ATTRIBUTES, LEAST_CLASS, MOST_CLASS, DeltaSteps, KeyframeSteps
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.gaussians import Doubles, Floats, Gaussians
 
+Classes = NDArray[np.int16]
 LEAVES = 1e4  # steps
 FLOOR = 0.01  # of the median: rows that the given views hardly see may be seen from others
 _KEYFRAME = KeyframeSteps(quaternions=0.025, log_scales=0.08, opacity=0.014, sh_dc=0.036, sh_rest=0.04)
@@ -74,7 +75,7 @@ def scale_steps(steps: StepSettings, factors: Mapping[str, float]) -> StepSettin
     return steps
 
 
-def motion_classes(sensitivity: NDArray[np.float64], floor: float, scale: float = 1.0) -> NDArray[np.int16]:
+def motion_classes(sensitivity: Doubles, floor: float, scale: float = 1.0) -> Classes:
     """Return (N,) motion classes of (N,) mean squared derivatives of pictures by the rows' means, 1 / world unit^2.
 
     The motion unit is the power of two nearest to the fourth root of 1 / `sensitivity`, with lengths in units of
@@ -85,37 +86,30 @@ def motion_classes(sensitivity: NDArray[np.float64], floor: float, scale: float 
     return np.clip(np.rint(wanted), LEAST_CLASS, MOST_CLASS).astype(np.int16)
 
 
-def motion_units(classes: NDArray[np.int16]) -> NDArray[np.float32]:
+def motion_units(classes: Classes) -> NDArray[np.float32]:
     return np.exp2(classes.astype(np.float32))
 
 
-def classify_motion(sensitivity: NDArray[np.float64], g: Gaussians, scale: float) -> NDArray[np.int16]:
+def classify_motion(sensitivity: Doubles, g: Gaussians, scale: float) -> Classes:
     """Return (N,) motion classes by (N,) `sensitivity`, or by the median size where no row is seen."""
-    seen = sensitivity[sensitivity > 0]
-    if not len(seen):  # nothing is visible: all rows count the same
-        size = float(np.exp(np.clip(np.median(g.log_scales.astype(np.float64)), -30, 30)))
-        return np.full(len(g), round(math.log2(size / scale)), np.int16)
-    return motion_classes(sensitivity, FLOOR * float(np.median(seen)), scale)
+    if len(seen := sensitivity[sensitivity > 0]):
+        return motion_classes(sensitivity, FLOOR * float(np.median(seen)), scale)
+    size = float(np.exp(np.clip(np.median(g.log_scales.astype(np.float64)), -30, 30)))
+    return np.full(len(g), round(math.log2(size / scale)), np.int16)
 
 
-def share_class(
-    classes: NDArray[np.int16],
-    sensitivity: NDArray[np.float64],
-    displacements: Iterable[NDArray[np.floating]],
-    step: float,
-) -> NDArray[np.int16]:
+def share_class(classes: Classes, sensitivity: Floats, displacements: Iterable[Floats], step: float) -> Classes:
     """Return (N,) motion classes, or one for all rows where their displacements take fewer bits with it.
 
     `classes` and `sensitivity` (N,) are those of rows in file order, `displacements` (3, N) of some frames, in world
     units, `step` that of means. With one class equal steps err about as much in pictures. Rows that move further than
     LEAVES steps are left out.
     """
-    total = float(sensitivity.sum())
-    if total == 0:
+    if not (total := float(sensitivity.sum())):
         return classes
     units = motion_units(classes).astype(np.float64)
     shared = math.sqrt(float(sensitivity @ np.square(units)) / total)
-    separate, together = 0.0, 0.0
+    separate = together = 0.0
     for moved in displacements:
         moved = np.where(np.abs(moved).max(axis=0) > LEAVES * step * shared, 0, moved)
         separate += _transform_bits(moved / (step * units))
@@ -124,7 +118,7 @@ def share_class(
 
 
 def _transform_bits(samples: NDArray[np.floating]) -> float:
-    """About the bits that samples (c, N), in steps, of rows in file order take in an atlas.
+    """Return about the bits that samples (c, N), in steps, of rows in file order take in an atlas.
 
     The Walsh-Hadamard transform of a block of rows is also that of their places in it. A coefficient x takes
     log2(1 + x^2) / 2 bits: the rate of a Gaussian source (Cover and Thomas, Elements of Information Theory, 10.3.2).
@@ -135,16 +129,14 @@ def _transform_bits(samples: NDArray[np.floating]) -> float:
 
 
 @functools.cache
-def _hadamard(order: int) -> NDArray[np.float64]:
-    matrix = np.ones((1, 1))
+def _hadamard(order: int) -> Doubles:
+    matrix: NDArray[Any] = np.ones((1, 1))
     while len(matrix) < order:
-        matrix = np.block([[matrix, matrix], [matrix, -matrix]]) / math.sqrt(2)
+        matrix = np.kron([[1, 1], [1, -1]], matrix) / math.sqrt(2)
     return matrix
 
 
-def channel_weights(
-    classes: NDArray[np.int16], sensitivity: NDArray[np.float64], steps: DeltaSteps, transform: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def channel_weights(classes: Classes, sensitivity: Doubles, steps: DeltaSteps, transform: Doubles) -> Doubles:
     """Return (10 + C, N) what an error of one step in a delta channel adds to the mean squared error of pictures.
 
     `sensitivity` (6, N): mean squared derivatives of pictures by each of DELTA_ATTRIBUTES, summed over its channels.
@@ -152,7 +144,7 @@ def channel_weights(
     Colour channel k changes SH DC and SH rest by the entries of row k of the KLT `transform` (C, C).
     """
     colours = len(transform)
-    dc, rest = (np.square(part).sum(axis=1) for part in (transform[:, :3], transform[:, 3:]))
+    dc, rest = (np.square(part).sum(axis=1) for part in np.hsplit(transform, [3]))
     by = dict(zip(DELTA_ATTRIBUTES, sensitivity, strict=True))
     units = asdict(steps) | {"means": motion_units(classes).astype(np.float64) * steps.means}
     weights = np.empty((DELTA.width(colours), len(classes)))
@@ -164,6 +156,6 @@ def channel_weights(
     return weights
 
 
-def withheld_error(changes: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+def withheld_error(changes: Doubles, weights: Doubles) -> Doubles:
     """Return (N,) the mean squared error of pictures when changes (T, 10 + C, N), in steps, are not sent."""
     return np.einsum("tcn,tcn,cn->n", changes, changes, weights, optimize=True) / len(changes)

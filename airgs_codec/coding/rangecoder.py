@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.errors import FormatError
+from airgs_codec.package.parse import expect
 
 LARGEST_NUMBER = (1 << 63) - 1
 
@@ -56,8 +56,7 @@ def _encode(values: Whole, chances: Whole, divisors: Whole, shares: Whole, state
     `chances`, `divisors`: of each model the chance of a 1 in 1/65536, and what its error is divided by, which `shares`
     do.
     """
-    low, span, at, cache, pending = state[_CODE], state[_RANGE], state[_AT], state[_CACHE], state[_PENDING]
-    context = state[_CONTEXT]
+    low, span, at, cache, pending, context = state
     contexts = len(chances) // _NODES
     for value in values:
         length = 0
@@ -187,7 +186,6 @@ def _models(order: int) -> tuple[list[int], list[int], list[int]]:
 def encode_columns(columns: Sequence[Column]) -> bytes:
     """Return the bytes of columns, which `ColumnReader` reads. Raises ValueError for a number below 0."""
     compiled = worth_compiling(_encode, sum(len(numbers) for numbers, _ in columns))
-    encode: Loop = compiled or _encode
     state, out = _mutable([0, RANGE_START, 0, 0, 1, 0], compiled), bytearray(_MOST_BYTES * _BATCH)
     buffer = np.frombuffer(out, np.uint8) if compiled else out
     parts = []
@@ -195,11 +193,11 @@ def encode_columns(columns: Sequence[Column]) -> bytes:
         values = np.ascontiguousarray(numbers, np.int64)
         if len(values) and int(values.min()) < 0:
             raise ValueError(f"expected numbers from 0, got {values.min()}")
-        models = [_mutable(column, compiled) for column in _models(order)]
+        chances, divisors, shares = (_mutable(column, compiled) for column in _models(order))
         state[_CONTEXT] = 0
         for start in range(0, len(values), _BATCH):
-            some = values[start : start + _BATCH]
-            encode(some if compiled else some.tolist(), *models, state, buffer)
+            some = values[start : start + _BATCH] if compiled else values[start : start + _BATCH].tolist()
+            (compiled or _encode)(some, chances, divisors, shares, state, buffer)
             parts.append(bytes(out[: state[_AT]]))
             state[_AT] = 0
     low, _, _, cache, pending, _ = map(int, state)  # the delayed bytes, to which a carry may still be added
@@ -224,37 +222,33 @@ class ColumnReader:
     """
 
     def __init__(self, data: bytes | None, where: str) -> None:
-        self._absent = data is None
+        self._absent, self.where = data is None, where
         data = bytes(END_BYTES) if data is None else data
         self._end = len(data)
         self._data = data + bytes(_MOST_BYTES)  # a number may pass the end before that is seen
-        self.where = where
-        if len(data) < END_BYTES:
-            raise FormatError("bad_sidecar", where, f"expected at least {END_BYTES} bytes, got {len(data)}")
+        expect(len(data) >= END_BYTES, where, f"expected at least {END_BYTES} bytes, got {len(data)}", "bad_sidecar")
+        expect(not data[0], where, f"expected a first byte of 0, got {data[0]}", "bad_sidecar")
         self._state = [int.from_bytes(data[1:END_BYTES], "big"), RANGE_START, END_BYTES, len(data)]
-        if data[0]:
-            raise FormatError("bad_sidecar", where, f"expected a first byte of 0, got {data[0]}")
 
     def column(self, count: int, order: int) -> NDArray[np.int64]:
         if self._absent:
             return np.zeros(count, np.int64)
         compiled = worth_compiling(_decode, count)
         values: Whole = np.zeros(count, np.int64) if compiled else [0] * count
-        models = [_mutable(numbers, compiled) for numbers in _models(order)]
+        chances, divisors, shares = (_mutable(numbers, compiled) for numbers in _models(order))
         state = _mutable(self._state, compiled)
         data = np.frombuffer(self._data, np.uint8) if compiled else self._data
-        decode: Loop = compiled or _decode
-        decode(values, *models, state, data)
+        (compiled or _decode)(values, chances, divisors, shares, state, data)
         self._state = list(map(int, state))
-        if self._state[_AT] > self._end:
-            raise FormatError("bad_sidecar", self.where, f"expected {count} more numbers, got the end of the file")
+        words = f"expected {count} more numbers, got the end of the file"
+        expect(self._state[_AT] <= self._end, self.where, words, "bad_sidecar")
         return np.asarray(values, np.int64)
 
     def close(self) -> None:
         """Refuse data that is not used up exactly."""
-        if self._state[_AT] != self._end or self._state[_CODE]:
-            read = self._state[_AT]
-            raise FormatError("bad_sidecar", self.where, f"expected the end at {read}, got {self._end} bytes")
+        code, _, read, _ = self._state
+        whole = read == self._end and not code
+        expect(whole, self.where, f"expected the end at {read}, got {self._end} bytes", "bad_sidecar")
 
 
 def sum_gaps(gaps: NDArray[np.int64], low: NDArray[np.int64], bits: int) -> NDArray[np.uint64] | None:
@@ -264,6 +258,6 @@ def sum_gaps(gaps: NDArray[np.int64], low: NDArray[np.int64], bits: int) -> NDAr
     """
     compiled = worth_compiling(_sum_gaps, 0)
     codes = _mutable([0] * len(gaps), compiled)
-    columns = (gaps, low) if compiled else (gaps.tolist(), low.tolist())
-    fill: Loop = compiled or _sum_gaps
-    return np.array(codes, np.uint64) if fill(*columns, bits, codes) else None
+    steps, lows = (gaps, low) if compiled else (gaps.tolist(), low.tolist())
+    fits = (compiled or _sum_gaps)(steps, lows, bits, codes)
+    return np.array(codes, np.uint64) if fits else None

@@ -18,11 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.escapes import Escapes, read_columns
+from airgs_codec.coding.motion import Classes
 from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_columns, sum_gaps
 from airgs_codec.errors import FormatError, SceneError
+from airgs_codec.package.parse import expect
 from airgs_codec.package.tables import GRID_BITS, LEAST_CLASS, MOST_CLASS, MOST_WIDER, STATIC, Grid
 from airgs_codec.scene.gaussians import morton_decode, morton_encode
 
+Codes = NDArray[np.uint64]  # Morton codes
 HALF = 1 << (GRID_BITS - 1)  # steps from the middle of the grid to its sides
 ORIGIN_STEPS = 1 << 12  # whose multiples origins are: one row more rarely moves where larger cells begin
 INSIDE = 0.9  # share of the rows that are surely in the box
@@ -30,7 +33,7 @@ MOST_REACH = 1e30  # world units
 EXACT = 50  # bits of a coordinate in steps that float64 holds, and halves of it
 
 
-def cell_bits(cells: NDArray[np.int16], grid: Grid, coarser: int = 0) -> NDArray[np.int64]:
+def cell_bits(cells: Classes, grid: Grid, coarser: int = 0) -> NDArray[np.int64]:
     """Return (N,) b of rows: a cell is 2^b steps of its own grid wide.
 
     `coarser` is that of a keyframe quality, which multiplies the side of cells by 2^coarser.
@@ -38,14 +41,12 @@ def cell_bits(cells: NDArray[np.int16], grid: Grid, coarser: int = 0) -> NDArray
     return np.minimum(np.clip(cells.astype(np.int64) - grid.finest, 0, GRID_BITS) + coarser, GRID_BITS)
 
 
-def grid_codes(
-    means: NDArray[np.floating], classes: NDArray[np.int16], grid: Grid
-) -> tuple[NDArray[np.uint64], NDArray[np.int16]]:
+def grid_codes(means: NDArray[np.floating], classes: Classes, grid: Grid) -> tuple[Codes, Classes]:
     """Return (N,) Morton codes of the finest cells of means (N, 3), and (N,) e of the grid that each lies in.
 
     `grid_means` is at most half a cell off on an axis.
     """
-    away = means.astype(np.float64) / grid.step - _middle(grid)
+    away = means.astype(np.float64) / grid.step - np.add(grid.origin, HALF, dtype=np.float64)
     steps = np.floor(away)
     wider = np.maximum(np.frexp(np.maximum(steps, -1 - steps).max(axis=1) / HALF)[1], 0).astype(np.int16)
     index = np.floor(np.ldexp(away, -wider[:, None].astype(np.int32))).astype(np.int64) + HALF
@@ -53,28 +54,21 @@ def grid_codes(
     return morton_encode(index >> bits << bits), wider
 
 
-def _middle(grid: Grid) -> NDArray[np.float64]:
-    return np.asarray(grid.origin, np.float64) + HALF
-
-
-def coarse_codes(codes: NDArray[np.uint64], cells: NDArray[np.int16], grid: Grid, coarser: int) -> NDArray[np.uint64]:
+def coarse_codes(codes: Codes, cells: Classes, grid: Grid, coarser: int) -> Codes:
     """Return (N,) Morton codes of the cells of a keyframe quality that hold cells as fine or finer, given by codes."""
     low = (3 * cell_bits(cells, grid, coarser)).astype(np.uint64)
     return codes >> low << low
 
 
-def grid_means(
-    codes: NDArray[np.uint64], classes: NDArray[np.int16], wider: NDArray[np.int16], grid: Grid, coarser: int = 0
-) -> NDArray[np.float64]:
+def grid_means(codes: Codes, classes: Classes, wider: Classes, grid: Grid, coarser: int = 0) -> NDArray[np.float64]:
     """Return (N, 3) middles, in world units, of the cells of a keyframe quality that hold cells as fine or finer."""
     cells = classes - wider
     half = np.exp2(cell_bits(cells, grid, coarser))[:, None] / 2
-    codes = coarse_codes(codes, cells, grid, coarser)
-    away = morton_decode(codes) + half - HALF
-    return grid.step * (_middle(grid) + np.ldexp(away, wider[:, None].astype(np.int32)))
+    away = morton_decode(coarse_codes(codes, cells, grid, coarser)) + half - HALF
+    return grid.step * (np.add(grid.origin, HALF, dtype=np.float64) + np.ldexp(away, wider[:, None].astype(np.int32)))
 
 
-def fit_grid(means: NDArray[np.float32], classes: NDArray[np.int16], cell: float) -> Grid:
+def fit_grid(means: NDArray[np.float32], classes: Classes, cell: float) -> Grid:
     """Return the grid of means (N, 3) whose cells are `cell` motion units wide.
 
     Where the finest class would need more than GRID_BITS bits an axis for INSIDE of the rows, it shares the cells of a
@@ -82,8 +76,7 @@ def fit_grid(means: NDArray[np.float32], classes: NDArray[np.int16], cell: float
     """
     middle = np.median(means, axis=0).astype(np.float64)
     distances = np.abs(means.astype(np.float64) - middle).max(axis=1)
-    reach = float(np.quantile(distances, INSIDE))
-    if reach > MOST_REACH:
+    if (reach := float(np.quantile(distances, INSIDE))) > MOST_REACH:
         raise SceneError(f"means span {reach:g} world units: expected at most {MOST_REACH:g}")
     box = reach * 2 / HALF, float(np.abs(middle).max()) / 2.0**EXACT
     finest = max([int(classes.min()), *(math.ceil(math.log2(least / cell)) for least in box if least)])
@@ -100,13 +93,13 @@ class KeyframeSidecar:
     Where keyframes are differences to those of an earlier group, which has the means and classes, only depths are sent.
     """
 
-    codes: NDArray[np.uint64]  # (N,) Morton codes of the canonical means
-    classes: NDArray[np.int16]  # (N,) motion classes, -128..127
-    wider: NDArray[np.int16]  # (N,) e of the grid, 2^e times as wide, that a row lies in; 0 but far away
+    codes: Codes  # (N,) Morton codes of the canonical means
+    classes: Classes  # (N,) motion classes, -128..127
+    wider: Classes  # (N,) e of the grid, 2^e times as wide, that a row lies in; 0 but far away
     depths: NDArray[np.uint8]  # (N,) deepest level that carries a row; STATIC: none
 
     @property
-    def cells(self) -> NDArray[np.int16]:
+    def cells(self) -> Classes:
         return self.classes - self.wider
 
 
@@ -117,8 +110,7 @@ def pack_keyframe_sidecar(sidecar: KeyframeSidecar, grid: Grid, coarsest: int = 
         return encode_columns([carried])
     low = (3 * cell_bits(sidecar.cells, grid, coarsest)).astype(np.uint64)
     codes = coarse_codes(sidecar.codes, sidecar.cells, grid, coarsest)
-    before = np.concatenate([np.zeros(1, np.uint64), codes[:-1]])
-    gaps = ((codes >> low) - (before >> low)).astype(np.int64)
+    gaps = ((codes >> low) - (np.append(np.uint64(0), codes[:-1]) >> low)).astype(np.int64)
     least = int(sidecar.classes.min())
     placed = [(np.array([coarsest, least - LEAST_CLASS]), 0), (sidecar.classes - least, 1), (gaps, 0)]
     return encode_columns([*placed, carried, *Escapes.of(sidecar.wider.astype(np.int32)[None, None]).columns()])
@@ -134,17 +126,16 @@ def unpack_keyframe_sidecar(
     """
     reader = ColumnReader(data, where)
     placed = 0 if depths_only else rows
-    first = reader.column(2 if placed else 0, 0)
-    if (first[:1] != coarsest).any():  # all codes would be wrong
-        raise FormatError("bad_sidecar", where, f"expected coarser {coarsest}, got {first[0]}")
-    classes = LEAST_CLASS + int(first[1:].sum()) + reader.column(placed, 1)
+    found, least = reader.column(2, 0).tolist() if placed else (coarsest, 0)
+    expect(found == coarsest, where, f"expected coarser {coarsest}, got {found}", "bad_sidecar")
+    classes = LEAST_CLASS + least + reader.column(placed, 1)
     gaps, carried = reader.column(placed, 0), reader.column(rows, 1)
     wider = read_columns(reader, (1, 1, placed)).bases(0)[0] if placed else np.empty(0, np.int32)
     reader.close()
-    if int(classes.max(initial=0)) > MOST_CLASS or int(carried.max()) > STATIC:
-        raise FormatError("bad_sidecar", where, f"expected classes up to {MOST_CLASS} and depths up to {STATIC}")
-    if not ((wider >= 0) & (wider <= MOST_WIDER)).all():
-        raise FormatError("bad_sidecar", where, f"expected rows in a grid 2^0 to 2^{MOST_WIDER} times as wide")
+    fits = int(classes.max(initial=0)) <= MOST_CLASS and int(carried.max()) <= STATIC
+    expect(fits, where, f"expected classes up to {MOST_CLASS} and depths up to {STATIC}", "bad_sidecar")
+    fits = bool(((wider >= 0) & (wider <= MOST_WIDER)).all())
+    expect(fits, where, f"expected rows in a grid 2^0 to 2^{MOST_WIDER} times as wide", "bad_sidecar")
     depths = (carried - 1).astype(np.uint8)
     shared = KeyframeSidecar(gaps.astype(np.uint64), classes.astype(np.int16), wider.astype(np.int16), depths)
     codes = sum_gaps(gaps, 3 * cell_bits(shared.cells, grid, coarsest), 3 * GRID_BITS)
@@ -172,10 +163,10 @@ def read_detail(
     """
     if coarser == coarsest:
         return sidecar
-    if (found := int(reader.column(1, 0)[0])) != coarser:
-        raise FormatError("bad_sidecar", reader.where, f"expected coarser {coarser}, got {found}")
+    found = int(reader.column(1, 0)[0])
+    expect(found == coarser, reader.where, f"expected coarser {coarser}, got {found}", "bad_sidecar")
     detail = reader.column(len(sidecar.codes), 0)
     low, high = (3 * cell_bits(sidecar.cells, grid, r) for r in (coarser, coarsest))
-    if (detail >> (high - low)).any():
-        raise FormatError("bad_sidecar", reader.where, "the detail of a position leaves its cell")
+    inside = not (detail >> (high - low)).any()
+    expect(inside, reader.where, "the detail of a position leaves its cell", "bad_sidecar")
     return replace(sidecar, codes=sidecar.codes | (detail << low).astype(np.uint64))

@@ -27,6 +27,7 @@ from airgs_codec.errors import ConfigError, FormatError, FrameError
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.layout import COLOUR, DELTA, keyframe_layout
 from airgs_codec.package.package import OPENED, Package, open_package
+from airgs_codec.package.parse import expect
 from airgs_codec.package.tables import STATIC, Atlas
 from airgs_codec.scene.gaussians import Gaussians
 
@@ -58,12 +59,10 @@ def decode(
     frame = frame_argument(frame, m.frames)
     j, q, index = m.level_index(level), m.quality_index(keyframe_quality), m.segment_at(frame)
     known, which = _decoded.setdefault(package, {}), (m.group_of(index), q, m.levels[j].tiers)
-    if which not in known:
-        base = decode_canonical(package, *which)
-        if sum(len(other) for other in known.values()) > DECODED_ROWS:
-            known.clear()
-        known[which] = base
-    base = known[which]
+    base = known[which] if which in known else decode_canonical(package, *which)
+    if which not in known and sum(map(len, known.values())) > DECODED_ROWS:
+        known.clear()
+    known[which] = base
     shown = next(decode_segment(package, index, base, j, [frame - m.segments[index].start]))
     coded = base.quaternions, base.log_scales, base.colour  # which a frame may show as they are
     columns = shown.columns().values()
@@ -93,22 +92,16 @@ def decode_frames(
     base: Canonical | None = None
     group = -1
     for index in range(m.segment_at(start), m.segment_at(stop - 1) + 1) if start < stop else ():
-        segment = m.segments[index]
-        if base is None or m.group_of(index) != group:
-            group = m.group_of(index)
+        segment, before, group = m.segments[index], group, m.group_of(index)
+        if base is None or group != before:
             base = decode_canonical(package, group, q, m.levels[j].tiers if tiers is None else tiers)
         first, last = max(start, segment.start), min(stop, segment.stop)
         shown = decode_segment(package, index, base, j, range(first - segment.start, last - segment.start))
         for number, gaussians in zip(range(first, last), shown, strict=True):
-            yield Frame(number, _sealed(gaussians))
-
-
-def _sealed(g: Gaussians) -> Gaussians:
-    """Return the same without the right to write to its arrays, which are of other frames, too."""
-    same = g.take(slice(None))
-    for column in same.columns().values():
-        column.flags.writeable = False
-    return same
+            sealed = gaussians.take(slice(None))  # arrays may be of other frames, too
+            for column in sealed.columns().values():
+                column.flags.writeable = False
+            yield Frame(number, sealed)
 
 
 def decode_canonical(package: Package, group: int, quality: int, tiers: int | None = None) -> Canonical:
@@ -121,25 +114,18 @@ def decode_canonical(package: Package, group: int, quality: int, tiers: int | No
     if tiers is not None and not 1 <= tiers <= m.tiers:
         raise ConfigError(f"tiers: expected 1..{m.tiers}, got {tiers}")
     transform = unpack_matrix(g.colour_transform, m.colour_channels)
-    parts = [
-        _decode_tier(package, group, t, quality, transform) for t, tier in enumerate(g.tiers[:tiers]) if tier.count
-    ]
-    return join_canonical(parts, transform)
+    filled = [t for t, tier in enumerate(g.tiers[:tiers]) if tier.count]
+    return join_canonical([_decode_tier(package, group, t, quality, transform) for t in filled], transform)
 
 
 def _decode_tier(package: Package, group: int, tier: int, quality: int, transform: NDArray[np.float64]) -> Canonical:
-    """The rows of a keyframe tier, which has some; `transform` is the KLT of the group, and so of its base."""
+    """Return the rows of a keyframe tier, which has some; `transform` is the KLT of the group, and so of its base."""
     m, g = package.manifest, package.manifest.groups[group]
-    base, width = m.base_of(group), len(g.tiers[tier].qualities[quality].centres)
+    base, width, coarser = m.base_of(group), len(g.tiers[tier].qualities[quality].centres), m.qualities[quality].coarser
     shown, sidecar = read_keyframe(package, group, tier, quality)
-
-    def values(rows: slice) -> NDArray[np.float32]:
-        return shown.values(rows) if shown else np.zeros((width, rows.stop - rows.start), np.float32)
-
     before = None if base is None else _decode_tier(package, base, tier, quality, transform)
-    return dequantise_keyframe(
-        values, sidecar, transform, g.grid, g.keyframe_steps, m.qualities[quality].coarser, before
-    )
+    values = shown.values if shown else np.zeros((width, len(sidecar.depths)), np.float32)
+    return dequantise_keyframe(values, sidecar, transform, g.grid, g.keyframe_steps, coarser, before)
 
 
 _Luma = tuple[NDArray[np.uint8], escapes.Bases]  # (pages * H, W) samples, and the bases in force until the next
@@ -156,8 +142,7 @@ class Shown:
     time: float = 0.0  # x: how often slopes count
 
     def codes(self) -> NDArray[np.int32]:
-        picture, bases = self.luma
-        return read_codes(picture, self.atlas, bases)
+        return read_codes(self.luma[0], self.atlas, self.luma[1])
 
     def values(self, rows: slice) -> NDArray[np.float32]:
         """Return the values (c, n) of some rows."""
@@ -187,6 +172,8 @@ def read_keyframe(package: Package, group: int, tier: int, quality: int) -> tupl
     (where, *paths), atlas = m.keyframe_files(group, tier, quality), entry.qualities[quality]
     data, *media = [package.read(path) for path in (where, *paths)]
     columns, pictures = open_segment(media[0], paths[0], atlas.pages) if media else (None, ())
+    steps = keyframe_layout(g).steps(g.difference_steps, m.colour_channels)
+    steps *= m.qualities[quality].factor * entry.factor
     with ThreadPoolExecutor(1) as pool:
         coming = pool.submit(next, iter(pictures), None)
         sidecar = unpack_keyframe_sidecar(data, entry.count, g.grid, coarsest, where, differs)
@@ -197,9 +184,6 @@ def read_keyframe(package: Package, group: int, tier: int, quality: int) -> tupl
             sidecar = read_detail(reader, sidecar, g.grid, m.qualities[quality].coarser, coarsest)
         jumps = escapes.read_columns(reader, (1, len(atlas.planes), atlas.rows))
         reader.close()
-    steps = keyframe_layout(g).steps(g.difference_steps, m.colour_channels) * (
-        m.qualities[quality].factor * entry.factor
-    )
     luma = _expect_picture(coming.result(), atlas, paths[0]), next(jumps.running())
     return Shown(atlas, luma, code_units(steps, m.keyframe_gain)), sidecar
 
@@ -232,11 +216,10 @@ def decode_segment(
         names = DELTA.names(m.colour_channels)
         varying = {names[i] for i, centre in enumerate(atlas.centres) if centre or i in atlas.planes}
         constant = [name for name in ("quaternions", COLOUR) if name not in varying]
-        applier = DeltaApplier.of(base, rows, group.delta_steps, constant)
+        applier = DeltaApplier(base, rows, group.delta_steps, constant)
         frames = range(places[0], places[-1] + 1)
-        for place, delta in zip(frames, decode_pictures(package, index, level, frames), strict=True):
-            if place in places:
-                yield applier.apply(delta.values)
+        deltas = zip(frames, decode_pictures(package, index, level, frames), strict=True)
+        yield from (applier.apply(delta.values) for place, delta in deltas if place in places)
     else:
         yield from itertools.repeat(base.to_gaussians(), len(places))
 
@@ -264,8 +247,7 @@ def decode_pictures(package: Package, index: int, level: int, frames: range) -> 
         if shown > first:
             luma = _expect_picture(picture, atlas, media), now
             yield Shown(atlas, luma, units, slopes, float(times[shown - 1]))
-    if shown < last:
-        raise FormatError("bad_picture", media, f"expected {count} pictures, got {shown}")
+    expect(shown >= last, media, f"expected {count} pictures, got {shown}", "bad_picture")
 
 
 def decode_ahead(pictures: Iterator[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:

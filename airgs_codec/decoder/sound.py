@@ -19,8 +19,7 @@ def decode_all(package: Package, groups: range | None = None) -> NDArray[np.int1
     m = package.manifest
     if m.sound is None:
         return None
-    parts: list[NDArray[np.int16]] = []
-    before: tuple[bytes, ...] = ()  # packets of the group before
+    parts, before = list[NDArray[np.int16]](), tuple[bytes, ...]()  # packets of the group before
     numbers = groups or range(len(m.groups))
     places = [m.groups.places.entry(number) for number in numbers]
     for number, place in zip(numbers, places, strict=True):
@@ -28,9 +27,8 @@ def decode_all(package: Package, groups: range | None = None) -> NDArray[np.int1
             parts.append(decode_group(package, number, before[-WARM_UP:]))
             before = _read_packets(package, number)
         except FormatError:
-            silent = len(m.packets(place.start, place.stop)) * PACKET_TICKS
+            silent, before = len(m.packets(place.start, place.stop)) * PACKET_TICKS, ()
             parts.append(np.zeros((silent, m.sound.channels), np.int16))
-            before = ()
     start, stop = (round(frame / m.fps * SOUND_RATE) for frame in (places[0].start, places[-1].stop))
     early = start - m.packets(places[0].start, places[0].stop).start * PACKET_TICKS + m.sound.pre_skip
     samples = np.concatenate(parts)
@@ -44,13 +42,13 @@ def decode_group(package: Package, number: int, before: tuple[bytes, ...] = ()) 
     `before`: the packets that come before them. Raises FormatError: bad_sound, and what `Package.read` raises.
     """
     m = package.manifest
-    packets, channels = _read_packets(package, number), m.sound.channels if m.sound else 1
+    packets, channels = [*before, *_read_packets(package, number)], m.sound.channels if m.sound else 1
     try:
-        samples = decode_sound([*before, *packets], channels)
+        samples, wanted = decode_sound(packets, channels), PACKET_TICKS * len(packets)
+        if len(samples) != wanted:
+            raise CodecError(f"expected {wanted} samples, got {len(samples)}")
     except CodecError as error:
         raise FormatError("bad_sound", m.sound_files(number)[0], str(error)) from error
-    if len(samples) != (wanted := PACKET_TICKS * (len(before) + len(packets))):
-        raise FormatError("bad_sound", m.sound_files(number)[0], f"expected {wanted} samples, got {len(samples)}")
     return samples[PACKET_TICKS * len(before) :]
 
 
@@ -61,9 +59,9 @@ def _read_packets(package: Package, number: int) -> tuple[bytes, ...]:
         data = package.read(path)
         try:
             packets, start = read_samples(data), read_start(data)
+            if (got := (start, len(packets))) != (expected := (span.start * PACKET_TICKS, len(span))):
+                raise CodecError(f"expected the start and number of packets {expected}, got {got}")
+            return packets
         except CodecError as error:
             raise FormatError("bad_sound", path, str(error)) from error
-        if (got := (start, len(packets))) != (expected := (span.start * PACKET_TICKS, len(span))):
-            raise FormatError("bad_sound", path, f"expected the start and number of packets {expected}, got {got}")
-        return packets
     return ()

@@ -214,7 +214,7 @@ class DeltaOmissions:
     @staticmethod
     def of(layout: GroupLayout, base: Canonical, values: DeltaValues, depths: NDArray[np.uint8]) -> DeltaOmissions:
         """Make it from differences to a canonical space and the (N,) depths of rows."""
-        applier = DeltaApplier.of(base, np.flatnonzero(depths != STATIC), layout.delta_steps)
+        applier = DeltaApplier(base, np.flatnonzero(depths != STATIC), layout.delta_steps)
         return DeltaOmissions(layout, values, depths, applier)
 
     def planes(self, price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:

@@ -6,11 +6,12 @@ Luma carries the samples, chroma is 128, the full-range flag is set, and no fram
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import chain, repeat
+from typing import NamedTuple
 from zlib import crc32
 
 import av
@@ -127,22 +128,19 @@ def encode_gop(gop: ClosedGop, size: tuple[int, int], rate: Fraction, settings: 
 
     `rate`: pictures a second, for the level. Raises CodecError when FFmpeg refuses or loses a picture.
     """
-    coded: list[CodedPicture] = []
-    front = mp4.read_samples(gop.slopes.fragment) if gop.slopes else ()
-    number = len(front)
+    front, coded = mp4.read_samples(gop.slopes.fragment) if gop.slopes else (), list[CodedPicture]()
+    number, kinds = len(front), av.video.frame.PictureType
     try:
         encoder = av.CodecContext.create("libx264", "w")
         assert isinstance(encoder, av.VideoCodecContext)
         encoder.width, encoder.height, encoder.pix_fmt, encoder.color_range = *size, "yuv420p", FULL_RANGE
         encoder.framerate, encoder.time_base, encoder.options = rate, 1 / rate, settings.options(size, rate)
         encoder.thread_count = 1
-        lines = len(next(iter(gop.pictures)))
-        for top in range(0, lines, size[1]):
+        for top in range(0, len(next(iter(gop.pictures))), size[1]):
             for place, picture in enumerate(gop.pictures):
                 frame = _frame(picture[top : top + size[1]])
                 frame.pts, frame.time_base = number, encoder.time_base
-                kinds = av.video.frame.PictureType
-                frame.pict_type = kinds.I if place == 0 else kinds.NONE
+                frame.pict_type = kinds.NONE if place else kinds.I
                 coded += map(_coded, encoder.encode(frame))
                 number += 1
         coded += map(_coded, encoder.encode(None))
@@ -152,8 +150,7 @@ def encode_gop(gop: ClosedGop, size: tuple[int, int], rate: Fraction, settings: 
         raise CodecError(f"expected {number - len(front)} coded pictures, got {len(coded)}")
     pages = sum(picture.idr for picture in coded)
     shown = [picture.bytes for picture in sorted(coded, key=lambda picture: picture.number)]
-    frames = len(shown) // pages
-    frame_bytes = [sum(shown[place::frames]) for place in range(frames)]
+    frame_bytes = np.reshape(shown, (pages, -1)).sum(axis=0).tolist()
     if gop.slopes:
         frame_bytes[0] += gop.slopes.picture_bytes[0]
     coded = [CodedPicture(data, place, len(data), idr=True) for place, data in enumerate(front)] + coded
@@ -190,7 +187,6 @@ class Pictures:
     where: str  # names the segment in errors
     pages: int = 1
     checksums: Sequence[int] | None = None  # CRC-32 of the luma of as many pictures, each page in display order
-    memory: Callable[[tuple[int, int], type], NDArray[np.uint8]] = np.empty  # that pictures of several pages are in
 
     def cut(self) -> tuple[Pictures, Pictures]:
         """Return the first picture, of which all pages are in front, and the others."""
@@ -218,9 +214,7 @@ class Pictures:
                 if len(shapes) > 1:
                     detail = f"expected {self.pages} pages of equal pictures, got {shapes}"
                     raise FormatError("bad_picture", self.where, detail)
-                height, width = parts[0].shape
-                out = self.memory((self.pages * height, width), np.uint8)
-                yield np.concatenate(parts, out=out)
+                yield np.concatenate(parts)
 
     def _decode_page(self, first: int, length: int) -> Iterator[NDArray[np.uint8]]:
         checksums = None if self.checksums is None else self.checksums[first:][:length]
@@ -236,11 +230,11 @@ def _decode(samples: Sequence[bytes], where: str) -> Iterator[av.VideoFrame]:
     try:
         context = av.CodecContext.create("h264", "r")
         context.thread_count = 1
-        for number, sample in enumerate([*samples, None]):
-            packet = None if sample is None else av.Packet(mp4.start_codes(sample))
-            if packet:
-                packet.pts = number
+        for number, sample in enumerate(samples):
+            packet = av.Packet(mp4.start_codes(sample))
+            packet.pts = number
             yield from context.decode(packet)
+        yield from context.decode(None)
     except (av.FFmpegError, CodecError) as error:
         raise FormatError("bad_picture", where, f"expected H.264: {error}") from error
 
@@ -281,8 +275,7 @@ def _read_coded(samples: Sequence[bytes], where: str) -> list[CodedPicture]:
     for place, sample in enumerate(samples):
         units = mp4.units_of(sample)
         kinds = [unit[0] & 31 for unit in units]
-        idr = _IDR in kinds
-        front = _PARAMETERS if idr else []
+        front = _PARAMETERS if (idr := _IDR in kinds) else []
         if kinds != [*front, *(_SLICES[idr] for _ in kinds[len(front) :])]:
             raise CodecError(f"sample {place}: expected slices, parameter sets before an IDR, got units {kinds[:8]}")
         if any(unit.endswith((b"\0", b"\0\0\3")) for unit in units):
@@ -294,10 +287,8 @@ def _read_coded(samples: Sequence[bytes], where: str) -> list[CodedPicture]:
             raise CodecError(f"sample {place}: expected samples of full range")
         _, profile, _, level = units[0][:4].ljust(4) if idr else (0, mp4.PROFILE, 0, mp4.LEVEL)
         if profile not in _PROFILES or _LEVELS.get(level, 0) * 256 < frame.width * frame.height:
-            expected = (
-                f"expected a profile of {_PROFILES} and a level up to {mp4.LEVEL} for {frame.width}x{frame.height}"
-            )
-            raise CodecError(f"sample {place}: {expected}, got {profile} and {level}")
+            wanted = f"a profile of {_PROFILES} and a level up to {mp4.LEVEL} for {frame.width}x{frame.height}"
+            raise CodecError(f"sample {place}: expected {wanted}, got {profile} and {level}")
         coded.append(CodedPicture(sample, number, len(sample), idr))
     return coded
 
@@ -316,8 +307,7 @@ def in_range(picture: NDArray[np.uint8]) -> bool:
     return bool(picture.min() >= DARKEST and picture.max() <= BRIGHTEST)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DecodedGop:
+class DecodedGop(NamedTuple):
     difference: NDArray[np.uint8]  # (pages * H, W) largest of any picture, luma levels
     in_range: bool  # see `in_range`; all samples count, also those that carry nothing
     checksums: tuple[int, ...]  # see `Pictures`
@@ -330,16 +320,14 @@ def check_gop(coded: CodedGop, gop: ClosedGop, settings: CodecSettings) -> Decod
     its QP; a whole step means that something else was decoded.
     """
     where = f"the segment at {gop.start} ticks"
-    squared: list[float] = []
-    largest, inside = np.zeros((1, 1), np.uint8), True
+    squared, largest, inside = list[float](), np.zeros((1, 1), np.uint8), True
     checksums: list[list[int]] = []  # of the pages of each picture
     try:
         for picture, shown in zip(gop.pictures, coded.pictures(where), strict=True):
             checksums.append([crc32(page.data) for page in np.split(shown, coded.pages)])
             difference = np.maximum(picture, shown) - np.minimum(picture, shown)
             squared.append(float(np.mean(np.square(difference, dtype=np.float32))))
-            largest = np.maximum(largest, difference)
-            inside = inside and in_range(shown)
+            largest, inside = np.maximum(largest, difference), inside and in_range(shown)
     except (ValueError, FormatError) as error:  # another number of pictures, or pictures of another size
         raise CodecError(f"{where} does not decode to the pictures it was made of: {error}") from error
     if (error_levels := (sum(squared) / len(squared)) ** 0.5) > qp_step(settings.qp):

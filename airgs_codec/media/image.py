@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -18,6 +18,7 @@ from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.places.whole import atomic_path
 
 Value = TypeVar("Value")
+Doubles = NDArray[np.float64]
 
 WIDEST = np.radians(120)  # along the longer side of undistorted pictures
 NARROWER = np.geomspace(1, 32, 64)  # factors of the focal length that are tried
@@ -144,17 +145,13 @@ def label(rgb: NDArray[np.uint8], text: str, line: int = 0) -> NDArray[np.uint8]
     return out
 
 
-def contact_sheet(
-    pictures: Sequence[NDArray[np.uint8]], captions: Sequence[str], columns: int = 4
-) -> NDArray[np.uint8]:
+def contact_sheet(pictures: Sequence[NDArray[np.uint8]], captions: Sequence[str], columns: int) -> NDArray[np.uint8]:
     """Return pictures (H, W, 3) of one size, 8-bit RGB, under captions of some lines, `columns` in a row, on black."""
     tiles = []
     for picture, caption in zip(pictures, captions, strict=True):
         for line, text in enumerate(caption.splitlines()):
             picture = label(picture, text, line)
         tiles.append(picture)
-    if not tiles:
-        raise ValueError("expected at least one picture")
     tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
     return np.concatenate([np.concatenate(tiles[i : i + columns], axis=1) for i in range(0, len(tiles), columns)])
 
@@ -169,10 +166,10 @@ class Lens:
     """A camera with distortion, and the pinhole camera that its pictures are resampled for; matrices in pixels."""
 
     size: tuple[int, int]  # width, height
-    matrix: NDArray[np.float64]  # (3, 3) intrinsics of the real camera
-    coefficients: NDArray[np.float64]  # OpenCV's k1 k2 p1 p2 [k3 k4 k5 k6], or k1..k4 of a fisheye
+    matrix: Doubles  # (3, 3) intrinsics of the real camera
+    coefficients: Doubles  # OpenCV's k1 k2 p1 p2 [k3 k4 k5 k6], or k1..k4 of a fisheye
     fisheye: bool
-    pinhole: NDArray[np.float64]  # (3, 3) intrinsics of the undistorted picture
+    pinhole: Doubles  # (3, 3) intrinsics of the undistorted picture
     cut: bool = False  # whether it shows less than could be undistorted
 
     def maps(self, size: tuple[int, int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -193,9 +190,7 @@ class Lens:
         return bool(inside.all() and (areas > 0).all() and middle >= LEAST_USED**2)
 
 
-def fit_lens(
-    size: tuple[int, int], matrix: NDArray[np.float64], coefficients: NDArray[np.float64], fisheye: bool = False
-) -> Lens:
+def fit_lens(size: tuple[int, int], matrix: Doubles, coefficients: Doubles, fisheye: bool = False) -> Lens:
     """Return the lens whose pinhole camera is the widest of the same size all of whose pixels the real camera saw.
 
     It sees WIDEST at most, and ends where the lens would show something twice. `size` is (width, height), `matrix`
@@ -209,16 +204,14 @@ def fit_lens(
     else:
         new, _ = cv2.getOptimalNewCameraMatrix(*given, size, 0)
         ahead = cv2.undistortPoints(middle, *given).ravel()
-    found = Lens(size, matrix, coefficients, fisheye, new + TO_CENTRES)
-    least = max(size) / 2 / np.tan(WIDEST / 2)
+    found, least = Lens(size, matrix, coefficients, fisheye, new + TO_CENTRES), max(size) / 2 / np.tan(WIDEST / 2)
     if new[0, 0] >= least and found.sees():
         return found
     for focal in least * NARROWER:
         fx, fy = focal, focal * matrix[1, 1] / matrix[0, 0]
         pinhole = np.array([[fx, 0, size[0] / 2 - fx * ahead[0]], [0, fy, size[1] / 2 - fy * ahead[1]], [0, 0, 1]])
-        found = Lens(size, matrix, coefficients, fisheye, pinhole, cut=True)
-        if found.sees():
-            return found
+        if (narrower := replace(found, pinhole=pinhole, cut=True)).sees():
+            return narrower
     raise ValueError("expected a lens that shows what is before it, once")
 
 

@@ -127,11 +127,7 @@ def mse(a: Floats, b: Floats) -> float:
 
 def psnr(mean_squared_error: float) -> float:
     """Return the PSNR in dB of samples in 0..1, at most PSNR_CAP. Of many pictures, give the mean of their errors."""
-    return PSNR_CAP if mean_squared_error <= squared_error(PSNR_CAP) else -10 * math.log10(mean_squared_error)
-
-
-def squared_error(decibels: float) -> float:
-    return 10 ** (-decibels / 10)
+    return PSNR_CAP if mean_squared_error <= 10 ** (-PSNR_CAP / 10) else -10 * math.log10(mean_squared_error)
 
 
 def _blur(picture: Floats) -> Floats:

@@ -24,6 +24,7 @@ from airgs_codec.errors import CodecError, SceneError
 from airgs_codec.media.mp4 import PACKET_TICKS, SOUND_RATE, sound_init
 from airgs_codec.places.whole import atomic_path, expect_plain
 
+Bytes = NDArray[np.uint8]
 X264_OPTIONS = {"crf": "18", "preset": "medium"}  # nearly without visible loss
 MOST_OFF = 0.25  # frames that a picture may be off an even rate before a remark says so
 LAYOUTS = {1: "mono", 2: "stereo"}  # by channels
@@ -32,9 +33,7 @@ MOST_S = 21_600  # of a sound, most of which would be silence
 TOLERANCE_S = Fraction(1, 25)  # time stamps of sound are this rough; a larger gap is silence
 
 
-def write_movie(
-    path: Path, frames: Iterable[NDArray[np.uint8]], fps: Fraction, sound: NDArray[np.int16] | None = None
-) -> None:
+def write_movie(path: Path, frames: Iterable[Bytes], fps: Fraction, sound: NDArray[np.int16] | None = None) -> None:
     """Write (H, W, 3) RGB frames as an H.264 film, whole or not at all, without an odd last row or column.
 
     `sound`: (n, C) samples, added as AAC. Raises CodecError when there is no frame or it cannot be written.
@@ -91,11 +90,10 @@ class Clock:
         gaps = np.diff(times)
         if not len(gaps):
             return Clock(rates[0], stamps[0] * unit, {0: 0})
+        count = len(gaps)
         if gaps.max() >= 2 * gaps.min() - 3:  # units, to each of which times are rounded: frames may be dropped
-            gaps_of_one = gaps[np.rint(gaps / np.sort(gaps)[(len(gaps) - 1) // 2]) == 1]
+            gaps_of_one = gaps[np.rint(gaps / np.sort(gaps)[(count - 1) // 2]) == 1]
             count = int(np.rint(gaps / gaps_of_one.mean()).sum())
-        else:
-            count = len(gaps)
         at = times * (count / times[-1])
         off = np.abs(at - np.rint(at))
         pictures = {int(frame): number for number, frame in sorted(enumerate(np.rint(at)), key=lambda p: -off[p[0]])}
@@ -173,7 +171,7 @@ class VideoReader:
             if number == self._next - 1 and self._last is not None:
                 return self._last
             if number < self._next:
-                self._container.close()
+                self.close()
                 self._open()
             try:
                 while self._next <= number:
@@ -239,7 +237,7 @@ class SoundTrack:
 
 
 def encode_sound(path: Path, seconds: Fraction) -> SoundTrack:
-    """Encode the first sound of a file for a sequence of so many seconds, cut or followed by silence.
+    """Encode the first sound of a file for a sequence of `seconds`, cut or followed by silence.
 
     Raises SceneError for a file without sound and a sequence longer than MOST_S, CodecError when the encoder fails.
     """
@@ -247,14 +245,13 @@ def encode_sound(path: Path, seconds: Fraction) -> SoundTrack:
         raise SceneError(f"{path}: expected at most {MOST_S} s of pictures with sound, got {float(seconds):.0f}")
     count = math.ceil(seconds * SOUND_RATE / PACKET_TICKS)
     samples, end = _read_sound(path, count * PACKET_TICKS)
-    channels, note = samples.shape[1], ""
+    channels, note, packets = samples.shape[1], "", list[bytes]()
     if end - len(samples) > TOLERANCE_S * SOUND_RATE:
         note = f"cut after {float(seconds):.2f} s, where the pictures end"
     elif end < (seconds - TOLERANCE_S) * SOUND_RATE:
         note = f"silent after {end / SOUND_RATE:.2f} of {float(seconds):.2f} s"
     encoder = _opus("w", channels)
     encoder.bit_rate, encoder.format = BITS_S[channels], "s16"
-    packets: list[bytes] = []
     try:
         for at in range(0, len(samples), SOUND_RATE):
             packets += map(bytes, encoder.encode(_audio_frame(samples[at : at + SOUND_RATE], at)))

@@ -108,11 +108,11 @@ def units_of(sample: bytes) -> list[bytes]:
     """Return the NAL units of a sample, each without its length. Raises CodecError when a length leaves the sample."""
     units, at = [], 0
     while at < len(sample):
-        size = _unpack(">I", sample, at)[0]
-        if not 0 < size <= len(sample) - at - 4:
-            raise CodecError(f"a NAL unit of {size} bytes at {at} of {len(sample)}")
-        units.append(sample[at + 4 : at + 4 + size])
-        at += 4 + size
+        size, at = _unpack(">I", sample, at)[0], at + 4
+        if not 0 < size <= len(sample) - at:
+            raise CodecError(f"a NAL unit of {size} bytes at {at - 4} of {len(sample)}")
+        units.append(sample[at : at + size])
+        at += size
     return units
 
 
@@ -205,19 +205,15 @@ def media_segment(pictures: Sequence[CodedPicture], start: int, ticks: int, slop
     would. The first `slopes` are none of these, and with them all share the time of the others evenly.
     """
     pages = sum(picture.idr for picture in pictures) - slopes
+    each, frames = ticks // pages, len(pictures) // pages
+    durations = [each] * (len(pictures) - frames) + [ticks - each * (pages - 1)] * frames
     if slopes:
-        ticks = ticks * (len(pictures) // pages - 1) // len(pictures)
+        ticks = ticks * (frames - 1) // len(pictures)
         durations = [ticks] * len(pictures)
-    else:
-        durations = [ticks // pages] * (len(pictures) - len(pictures) // pages)
-        durations += [ticks - ticks // pages * (pages - 1)] * (len(pictures) // pages)
     offsets = [(p.number - place) * lasts for place, (p, lasts) in enumerate(zip(pictures, durations, strict=True))]
-    columns = {
-        DURATION: (durations if pages > 1 and not slopes else []),
-        SIZE: [len(picture.data) for picture in pictures],
-        COMPOSITION_OFFSET: (offsets if any(offsets) else []),
-    }
-    return _fragment(start, (ticks, _OTHER), columns, [picture.data for picture in pictures])
+    columns = {DURATION: durations if pages > 1 and not slopes else [], SIZE: [len(p.data) for p in pictures]}
+    columns[COMPOSITION_OFFSET] = offsets if any(offsets) else []
+    return _fragment(start, (ticks, _OTHER), columns, [picture.data for picture in pictures], b"")
 
 
 def still_segment(start: int, ticks: int) -> bytes:
@@ -233,11 +229,7 @@ def sound_segment(packets: Sequence[bytes], first: int) -> bytes:
 
 
 def _fragment(
-    start: int,
-    defaults: tuple[int, int],
-    columns: Mapping[int, Sequence[int]],
-    samples: Sequence[bytes],
-    groups: bytes = b"",
+    start: int, defaults: tuple[int, int], columns: Mapping[int, list[int]], samples: Sequence[bytes], groups: bytes
 ) -> bytes:
     """Return moof and mdat of samples from `start` on, the first a sync sample.
 

@@ -59,12 +59,7 @@ class FileKind(StrEnum):
 
 _FIXED = dict.fromkeys(ROOTS, FileKind.MANIFESTS) | {POSTER_NAME: FileKind.POSTER}
 _FIXED |= dict.fromkeys((INIT_NAME, SOUND_INIT_NAME), FileKind.INIT)
-_LOCATED = {
-    "sidecar": FileKind.SIDECARS,
-    "keyframe": FileKind.KEYFRAME,
-    "delta": FileKind.DELTA,
-    "sound": FileKind.SOUND,
-}
+_LOCATED = {"sidecar": FileKind.SIDECARS} | {kind: FileKind(kind) for kind in ("keyframe", "delta", "sound")}
 
 
 @lru_cache(1 << 14)  # more paths than a session looks at again and again
@@ -131,9 +126,8 @@ class Layout:
 
     def slice(self, attribute: str) -> slice:
         """Return where the channels of an attribute are. Raises ValueError for one that this kind does not have."""
-        names = self.names(1)
-        start = names.index(attribute)
-        return slice(start, None if attribute == COLOUR else start + names.count(attribute))
+        start = self.names(1).index(attribute)
+        return slice(start, None if attribute == COLOUR else start + dict(self.runs)[attribute])
 
     def attribute_index(self, channels: int) -> NDArray[np.intp]:
         """Return (channels,) the place of each channel's attribute in `attributes`."""

@@ -9,6 +9,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import chain, product
 from operator import attrgetter
 from typing import Literal, overload
 
@@ -16,11 +17,23 @@ from airgs_codec.errors import FormatError
 from airgs_codec.package import layout
 from airgs_codec.package.layout import group_path, page_path
 from airgs_codec.package.parse import check_base, pack_group, pack_json
-from airgs_codec.package.tables import PAGE, Entry, FileEntry, Group, Header, RungQuality, Segment, Spans, file_entry
+from airgs_codec.package.tables import (
+    NO_FILE,
+    PAGE,
+    Entry,
+    FileEntry,
+    Group,
+    Header,
+    RungQuality,
+    Segment,
+    Spans,
+    file_entry,
+)
 
 TABLES_IN_MEMORY = 1024  # of groups
 EMPTY = Spans([], [], [], "")
 Count = Literal["groups", "frames", "segments"]
+Index = tuple[list[Spans], dict[str, Spans]]  # levels in the root, and pages by their paths
 ReadPage = Callable[[str, Entry], Spans]  # path and what is said of a page -> the page
 
 
@@ -28,7 +41,7 @@ def count_groups(index: Sequence[Spans]) -> int:
     return sum(len(spans) * PAGE**level for level, spans in enumerate(index))
 
 
-def build_index(groups: Sequence[Group], tables: Sequence[bytes]) -> tuple[list[Spans], dict[str, Spans]]:
+def build_index(groups: Sequence[Group], tables: Sequence[bytes]) -> Index:
     """Return the index of groups whose tables are these bytes, and its pages by their paths."""
     index: list[Spans] = []
     pages: dict[str, Spans] = {}
@@ -38,9 +51,7 @@ def build_index(groups: Sequence[Group], tables: Sequence[bytes]) -> tuple[list[
     return index, pages
 
 
-def extend_index(
-    index: Sequence[Spans], number: int, group: Group, table: bytes
-) -> tuple[list[Spans], dict[str, Spans]]:
+def extend_index(index: Sequence[Spans], number: int, group: Group, table: bytes) -> Index:
     """Return the index with one more group, counted from 0, whose table is these bytes, and the pages that it fills.
 
     As in a number in base PAGE, a level that would have PAGE entries has none, and the one above has one more: a page.
@@ -98,16 +109,13 @@ class GroupIndex:
             self.segments += sum(spans.segments)
 
     def entry(self, group: int) -> Entry:
-        *_, part = self._descend("groups", group)
-        return part
+        return list(self._descend("groups", group))[-1]
 
     def at_frame(self, frame: int) -> int:
-        *_, part = self._descend("frames", frame)
-        return part.group
+        return list(self._descend("frames", frame))[-1].group
 
     def at_segment(self, segment: int) -> int:
-        *_, part = self._descend("segments", segment)
-        return part.group
+        return list(self._descend("segments", segment))[-1].group
 
     def pages(self) -> Iterator[str]:
         """Yield the paths of all pages, those that lead to others first."""
@@ -121,17 +129,13 @@ class GroupIndex:
                 yield part.group
                 continue
             try:
-                page = self._page(part)
+                yield from self.sweep(self._page(part))
             except FormatError as error:
                 yield error
-            else:
-                yield from self.sweep(page)
 
     def page_file(self, level: int, number: int) -> FileEntry:
-        for part in self._descend("groups", number * PAGE**level):
-            if part.level == level:
-                return part.file
-        raise IndexError(f"page {number} of level {level}: there is none")
+        parts = self._descend("groups", number * PAGE**level)
+        return next((part.file for part in parts if part.level == level), NO_FILE)
 
     def check_page(self, level: int, number: int) -> None:
         next(part for part in self._descend("groups", number * PAGE**level) if part.level < level)
@@ -291,11 +295,9 @@ class Manifest(Header):
         yield from (group_path(number + 1) for number in range(len(self.groups)))
 
     def files(self) -> Iterator[str]:
-        """Yield every file of the package but airgs.json and manifest.mpd; reads the table of every group."""
-        yield from self.shared_files()
-        yield from self.table_files()
-        for group in range(len(self.groups)):
-            yield from self.group_files(group)
+        """Return every file of the package but airgs.json and manifest.mpd; reads the table of every group."""
+        groups = map(self.group_files, range(len(self.groups)))
+        return chain(self.shared_files(), self.table_files(), chain.from_iterable(groups))
 
     def entry(self, path: str) -> FileEntry:
         """Return length and digest of a file. Raises FormatError(missing_entry) for one that no table has."""
@@ -332,11 +334,8 @@ class Manifest(Header):
         tiers, groups = range(self.levels[level].tiers), range(len(self.groups)) if groups is None else groups
         sound = [path for g in groups for path in self.sound_files(g)]
         keyframes = [path for g in groups for t in tiers for path in self.keyframe_files(g, t, quality)]
-        return (
-            sound
-            + keyframes
-            + [path for g in groups for s in self.segments_of(g) for path in self.delta_files(s, level)]
-        )
+        deltas = [path for g in groups for s in self.segments_of(g) for path in self.delta_files(s, level)]
+        return sound + keyframes + deltas
 
 
 @dataclass(frozen=True, slots=True)
@@ -354,11 +353,9 @@ class Rung:
 def rungs_of(m: Manifest, manifest_bytes: int) -> tuple[Rung, ...]:
     """Return the rungs of a package whose tables and manifest.mpd have `manifest_bytes`, quality by quality."""
     rungs = []
-    for q, quality in enumerate(m.qualities):
-        for j, level in enumerate(m.levels):
-            size, pooled = manifest_bytes + m.bytes_of(m.rung_files(q, j)), quality_of(m, j, q)
-            name, psnr = f"{quality.id}+{level.id}", pooled.psnr if pooled else None
-            rungs.append(Rung(name, quality.id, level.id, size, psnr, False))
+    for (q, quality), (j, level) in product(enumerate(m.qualities), enumerate(m.levels)):
+        size, psnr = manifest_bytes + m.bytes_of(m.rung_files(q, j)), m.rungs[q][j].psnr if m.rungs else None
+        rungs.append(Rung(f"{quality.id}+{level.id}", quality.id, level.id, size, psnr, False))
     best = on_ladder([(rung.bytes, rung.psnr) for rung in rungs])
     return tuple(replace(rung, best=chosen) for rung, chosen in zip(rungs, best, strict=True))
 

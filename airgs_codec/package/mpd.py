@@ -21,6 +21,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import accumulate
+from typing import NamedTuple
 
 from airgs_codec.errors import CodecError, ConfigError, FormatError
 from airgs_codec.media import mp4
@@ -80,12 +81,8 @@ class Representation:
     media: str  # template with $Number$
     timeline: list[Run] = field(default_factory=list)  # no two of which could be one
     init: str = INIT_NAME
-    rate: float = field(default=0.0, compare=False, repr=False)  # bit/s
-
-    @property
-    def bandwidth(self) -> int:
-        """Bits a second at which every run of files has arrived MIN_BUFFER_S after its first one begins to play."""
-        return int(self.rate) + 1
+    # Bits a second at which every run of files has arrived MIN_BUFFER_S after its first one begins to play.
+    bandwidth: int = field(default=1, compare=False, repr=False)
 
     def append(self, run: Run) -> None:
         last = self.timeline[-1] if self.timeline else None
@@ -99,11 +96,14 @@ class Representation:
         if size:
             frames, ticks = span.stop - span.start, m.frame_ticks
             self.append(Run(number, span.start * ticks, frames * ticks))
-            self.rate = max(self.rate, 8 * size / min(MIN_BUFFER_S, float(frames / m.fps)))
+            self.bandwidth = max(self.bandwidth, int(8 * size / min(MIN_BUFFER_S, float(frames / m.fps))) + 1)
 
 
-@dataclass(frozen=True, slots=True)
-class AdaptationSet:
+def _keyframe_stream(tier: int, quality: int) -> Representation:
+    return Representation(f"T{tier}/Q{quality}", layout.keyframe_media_path(tier, quality, NUMBER))
+
+
+class AdaptationSet(NamedTuple):
     """Representations of which a viewer plays one at a time, the best first."""
 
     role: str  # "delta", the keyframe tier, or "sound"
@@ -125,10 +125,7 @@ class Streams:
     def __init__(self, m: Header) -> None:
         self._header = m
         self._deltas = [Representation(f"L{j}", layout.delta_media_path(j, NUMBER)) for j in range(len(m.levels))]
-        self._keyframes = [
-            [Representation(f"T{t}/Q{q}", layout.keyframe_media_path(t, q, NUMBER)) for q in range(len(m.qualities))]
-            for t in range(m.tiers)
-        ]
+        self._keyframes = [[_keyframe_stream(t, q) for q in range(len(m.qualities))] for t in range(m.tiers)]
         self._sound = Representation(SOUND, layout.sound_path(NUMBER), init=SOUND_INIT_NAME)
         self._groups = self._segments = 0  # so far
         self.longest = 0  # frames of a group
@@ -142,19 +139,16 @@ class Streams:
 
     def add(self, group: Group) -> dict[str, bytes]:
         """Add the next group, and return its still files by their paths."""
-        m = self._header
+        m, ticks, stills = self._header, self._header.frame_ticks, dict[str, bytes]()
         self._groups += 1
         for row, tier in zip(self._keyframes, group.tiers, strict=True):
             for stream, picture in zip(row, tier.pictures, strict=True):
                 stream.add(m, self._groups, group, picture.bytes)
         self._sound.add(m, self._groups, group, group.sound.bytes if group.sound else 0)
-        stills: dict[str, bytes] = {}
         for segment in group.segments:
             self._segments += 1
             for stream, level in zip(self._deltas, segment.levels, strict=True):
-                size = level.file.bytes
-                if not size and stream.timeline:
-                    ticks = m.frame_ticks
+                if not (size := level.file.bytes) and stream.timeline:
                     data = mp4.still_segment(segment.start * ticks, (segment.stop - segment.start) * ticks)
                     stills[stream.media.replace(NUMBER, str(self._segments))], size = data, len(data)
                 stream.add(m, self._segments, segment, size)
@@ -252,8 +246,8 @@ def check_mpd(data: bytes, m: Manifest, streams: Streams | None = None) -> None:
     for element in root.iter():
         _check_element(element)
     _check_times(root, periods[0], m)
-    found: dict[str, object] = {}  # by id: the Representations of the set, what kind they are of, and this one
-    wanted: dict[str, object] = {}
+    # By id: the Representations of the set, what kind they are of, and this one.
+    found, wanted = dict[str, object](), dict[str, object]()
     for adaptation_set in root.iter("AdaptationSet"):
         rows = adaptation_set.findall("Representation")
         ids = {row.get("id", "") for row in rows}
@@ -261,9 +255,9 @@ def check_mpd(data: bytes, m: Manifest, streams: Streams | None = None) -> None:
             stream = _read_representation(adaptation_set, row, m)
             expect(stream.id not in found, MPD_NAME, "expected a different id for each Representation", "bad_mpd")
             found[stream.id] = ids, {name: adaptation_set.get(name) for name in _kind_of(False)}, stream
-    for one in (streams or Streams.of(m)).sets():
-        ids = {stream.id for stream in one.representations}
-        wanted |= {stream.id: (ids, _kind_of(one.role == SOUND), stream) for stream in one.representations}
+    for role, _, listed in (streams or Streams.of(m)).sets():
+        ids = {stream.id for stream in listed}
+        wanted |= {stream.id: (ids, _kind_of(role == SOUND), stream) for stream in listed}
     for name in sorted(found.keys() | wanted.keys()):
         expected, got, where = wanted.get(name, "nothing"), found.get(name, "nothing"), f"{MPD_NAME} {name}"
         expect(got == expected, where, f"expected {expected}, got {got}", "mpd_mismatch")
@@ -331,7 +325,7 @@ def _read_representation(adaptation_set: ET.Element, element: ET.Element, m: Man
     found = [template for parent in (adaptation_set, element) for template in parent.findall("SegmentTemplate")]
     where = f"{MPD_NAME} {(name := element.get('id', ''))}"
     expect(len(found) == 1, where, f"expected one SegmentTemplate, got {len(found)}", "bad_mpd")
-    (template,) = found
+    template = found[0]
     expect(len(template) == 1, where, f"expected one SegmentTimeline, got {len(template)}", "bad_mpd")
     expect(_whole(element.get("bandwidth"), where), where, "expected a bandwidth above 0, got 0", "bad_mpd")
     ticks = _whole(template.get("timescale"), where)
@@ -369,18 +363,16 @@ def check_shared(package: Package, path: str) -> None:
         except ValueError as error:
             raise FormatError("bad_picture", path, f"expected a JPEG: {error}") from error
         return
-    wanted = [mp4.sound_init(m.sound.channels, m.sound.pre_skip)] if m.sound and path == SOUND_INIT_NAME else _inits(m)
+    # init.mp4 is made for the largest picture of the groups at the time when it is written.
+    sizes = accumulate((largest_picture([g]) for g in m.groups), lambda a, b: (max(a[0], b[0]), max(a[1], b[1])))
+    wanted = [mp4.init_segment(m.timescale, *size) for size in dict.fromkeys(sizes)]
+    if m.sound and path == SOUND_INIT_NAME:
+        wanted = [mp4.sound_init(m.sound.channels, m.sound.pre_skip)]
     try:
         if data not in wanted:
             mp4.check_boxes(wanted[-1], data)
     except CodecError as error:
         raise FormatError("bad_picture" if path == INIT_NAME else "bad_sound", path, str(error)) from error
-
-
-def _inits(m: Manifest) -> list[bytes]:
-    """Return what init.mp4 may be: it is made for the largest picture of the groups at the time when it is written."""
-    sizes = accumulate((largest_picture([g]) for g in m.groups), lambda a, b: (max(a[0], b[0]), max(a[1], b[1])))
-    return [mp4.init_segment(m.timescale, *size) for size in dict.fromkeys(sizes)]
 
 
 def check_sound(package: Package, group: int) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from airgs_codec.errors import FormatError
 from airgs_codec.package.layout import JSON_NAME, MEDIA_TYPES, MPD_NAME, ROOTS, group_path, locate
 from airgs_codec.package.manifest import Groups, Manifest, Rung, rungs_of
-from airgs_codec.package.parse import MAX_TABLE_BYTES, parse_group, parse_page, parse_root
+from airgs_codec.package.parse import MAX_TABLE_BYTES, expect, parse_group, parse_page, parse_root
 from airgs_codec.package.tables import Entry, FileEntry, Group, Header, Root, Spans, digest, file_entry
 from airgs_codec.places.place import BUCKETS, WEB, Storage, got_words, is_address, place_at, split_query
 from airgs_codec.scene.frames import ZERO, Origin
@@ -92,14 +92,11 @@ def write_file(files: Storage, relative: str, data: bytes) -> FileEntry:
 def check_file(relative: str, data: bytes, entry: FileEntry) -> None:
     """Raise FormatError (size_mismatch, hash_mismatch) unless a file is what its entry says."""
     if len(data) != entry.bytes:
-        got = "JSON that was unpacked on the way" if is_unpacked(relative, data) else f"{len(data)}"
+        unpacked = relative.endswith(".gz") and data.startswith(b"{")
+        got = "JSON that was unpacked on the way" if unpacked else f"{len(data)}"
         raise FormatError("size_mismatch", relative, f"expected {entry.bytes} bytes, got {got_words(data, got)}")
     if digest(data) != entry.sha256:
         raise FormatError("hash_mismatch", relative, "the SHA-256 differs from the one in the tables")
-
-
-def is_unpacked(relative: str, data: bytes) -> bool:
-    return relative.endswith(".gz") and data.startswith(b"{")
 
 
 def repr_digest(data: bytes) -> str:
@@ -162,11 +159,10 @@ def open_files(files: Storage) -> Package:
     """Open the package of these files, wherever they are; raises as `open_package` does."""
     mpd_bytes, _ = _open_root(files, MPD_NAME)
     size, read = _open_root(files, JSON_NAME)
-    if size > MAX_TABLE_BYTES:
-        raise FormatError("too_large", f"{files.name}/{JSON_NAME}", f"expected at most {MAX_TABLE_BYTES} bytes")
+    where, words = f"{files.name}/{JSON_NAME}", f"expected at most {MAX_TABLE_BYTES} bytes"
+    expect(size <= MAX_TABLE_BYTES, where, words, "too_large")
     data = read()
-    manifest = open_manifest(parse_root(data), partial(read_file, files))
-    return Package(files, manifest, len(data), mpd_bytes)
+    return Package(files, open_manifest(parse_root(data), partial(read_file, files)), len(data), mpd_bytes)
 
 
 def find_file(files: Storage, relative: str) -> tuple[int, Callable[[], bytes]]:
@@ -186,8 +182,7 @@ def _open_root(files: Storage, relative: str) -> tuple[int, Callable[[], bytes]]
 
 def find_faults(package: Package) -> dict[str, FormatError]:
     """Return the files that cannot be used, each with the error of `Package.read`; DASH's own are not read."""
-    faults: dict[str, FormatError] = {}
-    m = package.manifest
+    faults, m = dict[str, FormatError](), package.manifest
     for number in m.groups.places.sweep():
         if isinstance(number, FormatError):
             faults[number.where] = number

@@ -9,13 +9,14 @@ from __future__ import annotations
 import dataclasses
 import gzip
 import json
-import math
 import re
+import sys
 import types
 import typing
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -65,7 +66,7 @@ def parse_group(data: bytes, header: Header, entry: Entry, number: int) -> Group
     where = group_path(number + 1)
     group: Group = _parse(Group, _load(inflate(data, where), where), where)
     check_group(header, entry, group, where)
-    early = group.base is None or group.base <= number
+    early = (group.base or 0) <= number
     expect(early, f"{where}.base", f"expected a group before {number + 1}, got {group.base}")
     return group
 
@@ -113,10 +114,9 @@ def inflate(data: bytes, where: str) -> bytes:
         text = inflater.decompress(data, MAX_TABLE_BYTES + 1)
     except zlib.error as error:
         raise FormatError("not_json", where, f"expected JSON in gzip: {error}") from error
-    if len(text) > MAX_TABLE_BYTES:
-        raise FormatError("too_large", where, f"expected at most {MAX_TABLE_BYTES} bytes of JSON")
-    if not inflater.eof or inflater.unused_data:
-        raise FormatError("not_json", where, "expected JSON in one whole gzip member")
+    expect(len(text) <= MAX_TABLE_BYTES, where, f"expected at most {MAX_TABLE_BYTES} bytes of JSON", "too_large")
+    whole = inflater.eof and not inflater.unused_data
+    expect(whole, where, "expected JSON in one whole gzip member", "not_json")
     return text
 
 
@@ -164,12 +164,10 @@ def _parse(kind: Any, data: Any, where: str) -> Any:
     if dataclasses.is_dataclass(kind):
         return _parse_dataclass(kind, _typed(dict, data, where), where)
     if kind is float:
-        try:
-            number = float(data if type(data) is int else _typed(float, data, where))
-        except OverflowError:  # an integer of hundreds of digits
-            number = math.inf
-        expect(math.isfinite(number), where, "expected a finite number")
-        return number
+        data = _typed(float, data, where) if type(data) is not int else data
+        finite = abs(data) <= sys.float_info.max  # an integer may have hundreds of digits
+        expect(finite, where, "expected a finite number")
+        return float(data)
     if kind is int and isinstance(data, float) and data.is_integer():
         return int(data)  # 4.0, which is 4 in JSON Schema and in browsers
     if kind is str and (half := re.search("[\ud800-\udfff]", _typed(str, data, where))):  # JSON gave it as \ud800
@@ -179,10 +177,9 @@ def _parse(kind: Any, data: Any, where: str) -> Any:
 
 def _parse_dataclass(kind: Any, data: dict[str, Any], where: str) -> Any:
     hints, optional = _fields(kind)
-    if unknown := sorted(data.keys() - hints.keys()):
-        raise FormatError("unknown_field", where, f"unknown fields {unknown[:8]}")
-    if missing := [name for name in hints if name not in data and name not in optional]:
-        raise FormatError("missing_field", where, f"missing fields {missing}")
+    unknown, missing = sorted(data.keys() - hints.keys()), [n for n in hints if n not in data and n not in optional]
+    expect(not unknown, where, f"unknown fields {unknown[:8]}", "unknown_field")
+    expect(not missing, where, f"missing fields {missing}", "missing_field")
     given = {name: _parse(hints[name], data[name], f"{where}.{name}") for name in hints if name in data}
     return kind(**dict.fromkeys(optional) | given)
 
@@ -196,10 +193,8 @@ def _fields(kind: Any) -> tuple[dict[str, Any], frozenset[str]]:
 
 def as_required(hint: Any) -> Any:
     """Return T for the type T | None of a field that may be missing; any other type as it is."""
-    if typing.get_origin(hint) not in (types.UnionType, typing.Union):
-        return hint
-    (kind,) = (argument for argument in typing.get_args(hint) if argument is not type(None))
-    return kind
+    union = typing.get_origin(hint) in (types.UnionType, typing.Union)
+    return next(kind for kind in typing.get_args(hint) if kind is not type(None)) if union else hint
 
 
 def _typed(kind: type, data: Any, where: str) -> Any:
@@ -232,12 +227,10 @@ def check_root(m: Root) -> None:
         raise FormatError("bad_value", f"{JSON_NAME}.world.transform", fault)
     whole = m.timescale * m.frame_rate[1] % m.frame_rate[0] == 0
     expect(whole, f"{JSON_NAME}.timescale", "a frame is not a whole number of ticks")
-    _check_file(f"{JSON_NAME}.init", m.init, True)
-    if m.poster:
-        _check_file(f"{JSON_NAME}.poster", m.poster, True)
-        _check_bounds(JSON_NAME, [("poster.bytes", m.poster.bytes, 1, tables.MAX_POSTER_BYTES)])
-    if m.sound:
-        _check_file(f"{JSON_NAME}.sound.init", m.sound.init, True)
+    for name, entry in (("init", m.init), ("poster", m.poster), ("sound.init", m.sound and m.sound.init)):
+        if entry:
+            _check_file(f"{JSON_NAME}.{name}", entry, True)
+    _check_bounds(JSON_NAME, [("poster.bytes", m.poster.bytes, 1, tables.MAX_POSTER_BYTES)] if m.poster else [])
     sizes, wanted = [len(levels) for levels in m.rungs], [len(m.levels)] * len(m.qualities) if m.measured else []
     expect(sizes == wanted, f"{JSON_NAME}.rungs", f"expected lists of {wanted} values, got {sizes}")
     _check_index(f"{JSON_NAME}.index", m)
@@ -265,7 +258,7 @@ def check_group(m: Header, entry: Entry, group: Group, where: str) -> None:
             here, fetched = f"{where}.segments[{s}].levels[{j}]", level.file.bytes > 0
             _check_file(f"{here}.file", level.file, fetched and bool(group.levels[j].planes))
             frames, sent = segment.stop - segment.start if fetched else 0, len(level.frame_bytes)
-            bounds = ("frame_bytes", sent, frames, frames), ("line", sent, 2 if level.slopes else 0, sent)
+            bounds = ("frame_bytes", sent, frames, frames), ("slopes", sent, 2 if level.slopes else 0, sent)
             lengths = [(name, len(getattr(level, name)), measured, measured) for name in ("psnr", "delta_e")]
             _check_bounds(here, [*bounds, *lengths])
     expect(stop == group.stop, f"{where}.segments", f"end at {stop}, the group at {group.stop}")
@@ -275,12 +268,10 @@ def check_base(group: Group, base: Group, where: str) -> None:
     """Raise FormatError (bad_value) unless the base of a group has no base itself and an equal layout."""
     words = f"expected a base without a base, got {group.base}, whose base is {base.base}"
     expect(base.base is None, f"{where}.base", words)
-    one, other = (
-        (g.grid, g.keyframe_steps, g.colour_transform, [(tier.count, tier.factor) for tier in g.tiers])
-        for g in (group, base)
-    )
+    shared = attrgetter("grid", "keyframe_steps", "colour_transform")
+    tiers, other = ([(tier.count, tier.factor) for tier in g.tiers] for g in (group, base))
     words = f"expected a group of equal tiers, grid, keyframe_steps and colours, got {group.base}"
-    expect(one == other, f"{where}.base", words)
+    expect(shared(group) == shared(base) and tiers == other, f"{where}.base", words)
 
 
 def _check_region(region: Region, where: str) -> None:
@@ -318,8 +309,7 @@ def _check_index(where: str, m: Root) -> None:
         _check_columns(here, spans)
         expect(len(spans) < tables.PAGE, here, f"expected at most {tables.PAGE - 1} entries, got {len(spans)}")
         least = min([*spans.frames, *spans.segments], default=fewest)
-        words = f"expected {fewest} frames and segments or more in each entry, got {least}"
-        expect(least >= fewest, here, words)
+        expect(least >= fewest, here, f"expected {fewest} frames and segments or more in each entry, got {least}")
     expect(len(m.index[-1]) > 0, where, "expected an entry in the last level, got none")
     total = sum(sum(spans.frames) for spans in m.index)
     expect(total == m.frames, where, f"covers {total} of {m.frames} frames")

@@ -34,6 +34,7 @@ from airgs_codec.places.place import PARALLEL, Bucket, Folder, Storage, place_at
 from airgs_codec.places.whole import finished_path, staged_folder, written_alone
 
 NEW = ".new/"  # a package below it takes the place of the existing one
+Ends = tuple[Sequence[float], Sequence[float]]  # (3,) a position and the point that is looked at from it
 
 
 def write_tables(files: Storage, m: Manifest, clock: LiveClock | None = None) -> int:
@@ -43,9 +44,8 @@ def write_tables(files: Storage, m: Manifest, clock: LiveClock | None = None) ->
     FormatError for tables that no reader takes.
     """
     tables = [pack_group(group) for group in m.groups]
-    _, pages = build_index(m.groups, tables)
     texts = {group_path(number): table for number, table in enumerate(tables, 1)}
-    texts |= {path: pack_json(page) for path, page in pages.items()}
+    texts |= {path: pack_json(page) for path, page in build_index(m.groups, tables)[1].items()}
     checked = open_manifest(root_of(m), lambda path, _: texts[path])
     for number in checked.groups.places.sweep():
         if isinstance(number, FormatError):
@@ -147,8 +147,8 @@ def _staged_in_bucket(bucket: Bucket) -> Iterator[Path]:
 
 def _put_right(bucket: Bucket) -> None:
     found = bucket.paths()
-    for foreign in (name for name in found if not belongs(name.removeprefix(NEW))):
-        raise ConfigError(f"{bucket.name}: expected a new prefix or an existing package, found {foreign}")
+    if foreign := [name for name in found if not belongs(name.removeprefix(NEW))]:
+        raise ConfigError(f"{bucket.name}: expected a new prefix or an existing package, found {foreign[0]}")
     if NEW + JSON_NAME in found:
         _take_place(bucket)
     else:
@@ -194,11 +194,7 @@ def _for_each(names: Iterable[str], work: Callable[[str], object]) -> None:
 
 
 def set_view(
-    path: str | Path,
-    *,
-    up: Sequence[float] | None = None,
-    view: tuple[Sequence[float], Sequence[float]] | None = None,
-    name: str | None = None,
+    path: str | Path, *, up: Sequence[float] | None = None, view: Ends | None = None, name: str | None = None
 ) -> Root:
     """Change the package at `path`, whole or not at all, and return what is written.
 
@@ -234,7 +230,7 @@ def set_view(
     return root
 
 
-def _with_view(root: Root, view: tuple[Sequence[float], Sequence[float]], name: str | None) -> Region:
+def _with_view(root: Root, view: Ends, name: str | None) -> Region:
     position, focus = (list(map(float, point)) for point in view)
     region = levelled(root.region, root.world)
     away = [float(np.linalg.norm(np.subtract(place.position, position))) for place in region.places]

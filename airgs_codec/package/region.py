@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.parse import LEAST_SCALE, MOST_SCALE, fault_of
@@ -25,6 +25,7 @@ from airgs_codec.places.whole import expect_plain
 from airgs_codec.scene.camera import BLACK, Background, Camera, look_at
 from airgs_codec.scene.formats.form import Axes
 from airgs_codec.scene.frames import Origin
+from airgs_codec.scene.gaussians import Doubles
 
 AGREEMENT = 0.1  # directions whose mean is shorter do not agree on where up is
 FORGIVEN_DEGREES = 1e-4  # beyond the turn, by which players let viewers look further aside
@@ -32,7 +33,6 @@ FORGIVEN_SHARE = 1e-9  # of how far the focus is, or a coordinate, beyond the re
 LEVELLING = 100  # steps to what is upright: with more, rounding would speak where places say nothing
 DECIDING, MEASURING, CHECKING = 0, 1, 2  # seeds of draws: for an encoder, for its tables, for whoever checks them
 AXES = {sign + name: tuple(int(f"{sign}1") * (name == axis) for axis in "xyz") for name in "xyz" for sign in ("", "-")}
-Vector = NDArray[np.float64]
 
 
 def place_view(region: Region, place: Place, name: str = "place") -> Camera:
@@ -47,13 +47,11 @@ def first_views(region: Region, world: World | None) -> tuple[Camera, ...]:
 
 def levelled(region: Region, world: World | None) -> Region:
     """Return the region of a package as players take it: with the up of its world at every place."""
-    if world is None:
-        return region
-    up = up_of(world).tolist()
-    return replace(region, places=[replace(place, up=up) for place in region.places])
+    places = [replace(place, up=up_of(world).tolist()) for place in region.places if world]
+    return replace(region, places=places) if world else region
 
 
-def upright(region: Region) -> Vector:
+def upright(region: Region) -> Doubles:
     """Return (3,) up for all of a region, of length 1: the mean of its places' (of the first, where they do not agree).
 
     It is levelled: the sides of pictures are at right angles to it.
@@ -62,16 +60,15 @@ def upright(region: Region) -> Vector:
     ups /= np.linalg.norm(ups, axis=1, keepdims=True)
     ahead = [np.array(place.focus, np.float64) - place.position for place in region.places]
     sides = np.cross([direction / np.linalg.norm(direction) for direction in ahead], ups)
-    mean: Vector = ups.mean(axis=0)
-    length = np.linalg.norm(mean)
-    up = mean / length if length > AGREEMENT else ups[0]
+    mean: Doubles = ups.mean(axis=0)
+    up = mean / length if (length := np.linalg.norm(mean)) > AGREEMENT else ups[0]
     for _ in range(LEVELLING):
         up = up - sides.T @ (sides @ up) / len(sides)
         up /= np.linalg.norm(up)
     return up
 
 
-def view_from(region: Region, position: Vector, target: Vector, up: Vector, name: str) -> Camera:
+def view_from(region: Region, position: Doubles, target: Doubles, up: Doubles, name: str) -> Camera:
     square = look_at(position, target, up, size=region.height, fov_y=float(np.radians(region.fov_y)), name=name)
     behind = background_of(region)
     return replace(square, width=region.width, cx=region.width / 2, near=region.near, background=behind)
@@ -103,9 +100,8 @@ def draw_views(region: Region, count: int, seed: int) -> list[Camera]:
     the direction to it evenly over the sphere, and the view axis evenly over the disk of directions that are at most
     `region.turn` degrees off the focus: viewers are more often near the places than at the rim.
     """
-    rng = np.random.default_rng(seed)
-    rounds = range(-(-count // len(region.places)))
-    order = [place for _ in rounds for place in rng.permutation(len(region.places)).tolist()][:count]
+    rng, places = np.random.default_rng(seed), len(region.places)
+    order = [place for _ in range(-(-count // places)) for place in rng.permutation(places).tolist()][:count]
     return [_draw(region, region.places[i], rng, f"draw{number:03d}") for number, i in enumerate(order)]
 
 
@@ -140,14 +136,11 @@ def region_figures(region: Region) -> dict[str, Any]:
 
 
 def region_words(region: Region) -> str:
-    figures = region_figures(region)
+    figures, count = region_figures(region), len(region.places)
     ends = ([f"{value:.3g}" for value in figures[name]] for name in ("reach", "distance"))
     reach, distance = (" to ".join(dict.fromkeys(pair)) for pair in ends)
-    places = "1 place" if len(region.places) == 1 else f"{len(region.places)} places"
-    return (
-        f"{SOURCES[region.source]}: {places} with a reach of {reach} units, {distance} units "
-        f"from what is looked at; {region.turn:g}° to turn"
-    )
+    about = f"{SOURCES[region.source]}: {count} place{'s' * (count != 1)} with a reach of {reach} units"
+    return f"{about}, {distance} units from what is looked at; {region.turn:g}° to turn"
 
 
 def world_from(up: Sequence[float], metres: float | None = None) -> World:
@@ -179,7 +172,7 @@ def world_at(world: World, origin: Origin) -> World:
     return replace(world, transform=rows.ravel().tolist())
 
 
-def up_of(world: World) -> Vector:
+def up_of(world: World) -> Doubles:
     """Return (3,) up in the coordinates of the scene, of length 1."""
     row = np.array(world.transform[4:7])
     return np.asarray(row / np.linalg.norm(row))
@@ -214,13 +207,12 @@ def read_world(path: Path) -> World:
         raise ConfigError(f"{path}: cannot read a transform: {error.strerror}") from error
     except (ValueError, TypeError, OverflowError, RecursionError) as error:
         raise ConfigError(f"{path}: expected 12 or 16 numbers, row by row: {str(error)[:120]}") from error
-    if len(values) == 16 and not np.array_equal(values[12:], [0, 0, 0, 1]):
-        raise ConfigError(f"{path}: expected a last row of 0 0 0 1, got {values[12:].tolist()}")
+    rows, last = values[:12].tolist(), values[12:].tolist()
     if len(values) not in (12, 16):
         raise ConfigError(f"{path}: expected 12 or 16 numbers, row by row, got {len(values)} numbers")
-    if fault := fault_of(values[:12].tolist()):
+    if fault := f"expected a last row of 0 0 0 1, got {last}" if last not in ([], [0, 0, 0, 1]) else fault_of(rows):
         raise ConfigError(f"{path}: {fault}")
-    return World(values[:12].tolist(), metric=True)
+    return World(rows, metric=True)
 
 
 def world_words(world: World | None) -> str:

@@ -175,9 +175,7 @@ class Level:
     pruned: Annotated[float, Range(0, 1)]  # of the moving rows
     factor: Factor
     tiers: int  # keyframe tiers that its viewers fetch; rows of later tiers have no delta in it
-    quality: Annotated[
-        int, Range(0, MAX_CHOICES - 1)
-    ]  # keyframe quality that its deltas correct: its rung of the ladder
+    quality: Annotated[int, Range(0, MAX_CHOICES - 1)]  # keyframe quality that its deltas correct
 
 
 @dataclass(frozen=True, slots=True)
@@ -313,9 +311,7 @@ class Group:
     segments: Annotated[list[Segment], Length(1, MAX_FRAMES)]
     left_out: list[LeftOut]
     repairs: list[str]  # what was repaired in the input before coding
-    base: Annotated[int, Range(1, MAX_FRAMES)] | None = (
-        None  # an earlier group, from 1, that keyframes are differences to
-    )
+    base: Annotated[int, Range(1, MAX_FRAMES)] | None = None  # an earlier group, from 1, that keyframes differ from
     sound: FileEntry | None = None  # of its frames; None in a package without sound
 
     @property
@@ -429,9 +425,9 @@ class Root(Header):
 
 
 def _index_of(what: str, choice: str | int, ids: list[str]) -> int:
-    for index, name in enumerate(ids):
-        if str(choice) in (name, str(index)):
-            return index
+    names = [*ids, *map(str, range(len(ids)))]
+    if str(choice) in names:
+        return names.index(str(choice)) % len(ids)
     raise ConfigError(f"{what}: expected one of {', '.join(ids)}, got {choice!r}")
 
 

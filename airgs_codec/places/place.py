@@ -7,6 +7,7 @@ small files; all that has an address is reached by obstore, with endpoint and cr
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import shutil
@@ -19,7 +20,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import timedelta
-from functools import cache
+from functools import cache, partial
 from itertools import accumulate
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
@@ -79,8 +80,7 @@ class Storage(ABC):
     def delete(self, paths: Iterable[str]) -> None: ...
 
     def read(self, path: str) -> bytes | None:
-        found = self.open(path)
-        return None if found is None else found[1]()
+        return found[1]() if (found := self.open(path)) else None
 
     def paths(self) -> list[str]:
         return sorted(self.sizes())
@@ -121,11 +121,9 @@ class Folder(Storage):
 
     def _file(self, path: str) -> Path:
         """Return the path of a file. Raises FormatError (unsafe_path) where a folder above it is a link."""
-        folder, *parts = str(self.path), *path.split("/")
-        for part in parts[:-1]:
-            folder = f"{folder}/{part}"
-            if os.path.islink(folder):
-                raise FormatError("unsafe_path", path, _LINK)
+        above = accumulate([str(self.path), *path.split("/")[:-1]], "{}/{}".format)
+        if any(map(os.path.islink, itertools.islice(above, 1, None))):
+            raise FormatError("unsafe_path", path, _LINK)
         return self.path / path
 
 
@@ -162,14 +160,12 @@ class Bucket(Storage):
     def open(self, path: str) -> tuple[int, Callable[[], bytes]] | None:
         with self._naming(path):
             found = self._get(path)
-        if found is None:
-            return None
 
-        def read() -> bytes:
+        def read(found: GetResult) -> bytes:
             with self._naming(path):
                 return bytes(found.bytes())
 
-        return found.meta["size"], read
+        return (found.meta["size"], partial(read, found)) if found else None
 
     def sizes(self, below: str = "") -> dict[str, int]:
         """Return the length of every object below a path."""
@@ -221,15 +217,12 @@ class Copied:
 
         Raises ConfigError for a bad address or where the disk has no room, SceneError for nothing, TransportError.
         """
-        self.address, self._companions = address.rstrip("/"), companions
+        self.address, self._companions, self.path = address.rstrip("/"), companions, path or Path()
         self.files = self.bytes = 0
         if path and path.exists():
-            self.path = path
             return
-        source = bucket_at(self.address)
-        sizes = _as_files(source.sizes())
-        holder, _, name = self.address.rpartition("/")
-        below = ""  # the path of a single file below the folder that is copied
+        source, below = bucket_at(self.address), ""  # the path of a single file below the folder that is copied
+        sizes, (holder, _, name) = _as_files(source.sizes()), self.address.rpartition("/")
         if not sizes and not holder.endswith("/") and (found := (source := bucket_at(holder)).open(name)):
             small = [(path, source.open(path)) for path in companions]
             sizes = {name: found[0], **{path: one[0] for path, one in small if one}}
@@ -245,8 +238,7 @@ class Copied:
     def _copy(self, source: Bucket, sizes: Mapping[str, int], folder: Path, progress: Progress) -> None:
         total = sum(sizes.values())
         folder.parent.mkdir(parents=True, exist_ok=True)
-        free = shutil.disk_usage(folder.parent).free
-        if free < total:
+        if (free := shutil.disk_usage(folder.parent).free) < total:
             expected = f"expected {total / 1e9:.2f} GB of room for {self.address}"
             raise ConfigError(f"{folder.parent}: {expected}, got {free / 1e9:.2f} GB")
         stage = Path(tempfile.mkdtemp(dir=folder.parent))

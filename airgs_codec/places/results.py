@@ -17,7 +17,7 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import accumulate, pairwise
+from itertools import accumulate, chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -41,9 +41,9 @@ class Store:
 
     def read(self, entry: str) -> bytes | None:
         """Return the bytes of an entry; None where there is none that is whole."""
-        sealed = self.place.read(_path(entry))
-        data = None if sealed is None else unseal(entry, sealed)
-        if sealed is not None and data is None:
+        if (sealed := self.place.read(_path(entry))) is None:
+            return None
+        if (data := unseal(entry, sealed)) is None:
             self.discard(entry)
         return data
 
@@ -94,15 +94,11 @@ def _add(h: hashlib._Hash, value: Any) -> None:
         h.update(f"{type(value).__qualname__} ".encode())
         for field in dataclasses.fields(value):
             _add(h, getattr(value, field.name))
-    elif isinstance(value, tuple | list):
-        h.update(f"sequence {len(value)} ".encode())
-        for part in value:
+    elif isinstance(value, tuple | list | Mapping):
+        parts = chain(*((name, value[name]) for name in sorted(value))) if isinstance(value, Mapping) else value
+        h.update(f"{'mapping' if isinstance(value, Mapping) else 'sequence'} {len(value)} ".encode())
+        for part in parts:
             _add(h, part)
-    elif isinstance(value, Mapping):
-        h.update(f"mapping {len(value)} ".encode())
-        for name in sorted(value):
-            _add(h, name)
-            _add(h, value[name])
     else:
         raise TypeError(f"expected plain values, arrays or dataclasses, got {type(value).__qualname__}")
 
@@ -167,8 +163,7 @@ def unpack(data: bytes, trusted: tuple[str, ...] = OWN) -> Any:
     try:
         start = _LENGTH_BYTES + int.from_bytes(data[:_LENGTH_BYTES], "little")
         found = json.loads(data[_LENGTH_BYTES:start])
-        bounds = list(accumulate(found["sizes"], initial=start))
-        parts = [data[begin:end] for begin, end in pairwise(bounds)]
+        parts = [data[begin:end] for begin, end in pairwise(accumulate(found["sizes"], initial=start))]
         return _value(found["value"], parts, trusted)
     except BROKEN as error:
         raise ValueError(f"expected a stored value, got {type(error).__name__}: {error}") from error

@@ -243,10 +243,9 @@ def _opened(path: Path, flags: int, mode: int = 0o600) -> int:
 
 
 def _expect_ours(target: Path, is_ours: IsOurs, kind: str) -> None:
-    if target.is_symlink():
-        raise ConfigError(f"{target}: expected a folder for the {kind}, got a link")
-    if target.exists() and not target.is_dir():
-        raise ConfigError(f"{target}: expected a folder for the {kind}, got a file")
+    if target.is_symlink() or (target.exists() and not target.is_dir()):
+        got = "a link" if target.is_symlink() else "a file"
+        raise ConfigError(f"{target}: expected a folder for the {kind}, got {got}")
     if target.is_dir() and any(target.iterdir()) and not is_ours(target):
         raise ConfigError(f"{target}: expected a new folder or an existing {kind}, got a folder with other files")
 

@@ -53,12 +53,9 @@ def read_settings(folder: Path, frames: int) -> Settings:
         fps = exact_number(str(data.get("fps", DEFAULT_FPS)))
         keyframes = data.get("keyframes")
         starts = None if keyframes is None else tuple(sorted({0, *(int(k) for k in keyframes)}))
-        notes = tuple(data.get("notes", ()))
-        if not all(isinstance(note, str) for note in notes):
-            raise ValueError("notes that are no texts")
-        x, y, z = map(float, data.get("origin", ZERO))
-        if not np.isfinite((x, y, z)).all():
-            raise ValueError(f"an origin of {x}, {y}, {z}")
+        notes, (x, y, z) = tuple(data.get("notes", ())), map(float, data.get("origin", ZERO))
+        if not (all(isinstance(note, str) for note in notes) and np.isfinite((x, y, z)).all()):
+            raise ValueError(f"notes that are no texts, or an origin of {x}, {y}, {z}")
         if starts and not (starts[0] >= 0 and starts[-1] < frames):
             raise SceneError(f"{path}: expected keyframes in 0..{frames - 1}, got {starts[0]} to {starts[-1]}")
         colour = data.get("background", BLACK)
@@ -106,9 +103,8 @@ class Usage(Columns):
 
 def save_usage(path: Path, groups: Mapping[tuple[int, int], Usage]) -> None:
     """Write the usage of groups, given by their frames (start, stop), as .npz, whole or not at all."""
-    arrays: dict[str, NDArray] = {}
-    for (start, stop), usage in groups.items():
-        arrays |= {f"{start}:{stop}/{name}": column for name, column in usage.columns().items()}
+    named = (((*span, name), column) for span, usage in groups.items() for name, column in usage.columns().items())
+    arrays = {f"{start}:{stop}/{name}": column for (start, stop, name), column in named}
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
@@ -118,11 +114,7 @@ def load_usage(path: Path, start: int, stop: int, count: int) -> Usage | None:
 
     Raises SceneError when the file is not one that `save_usage` wrote, or has more rows: they are not unpacked.
     """
-    with (
-        expecting(path, "usage as the trainer writes it"),
-        path.open("rb") as opened,
-        np.load(opened, allow_pickle=False) as file,
-    ):
+    with expecting(path, "usage as the trainer writes it"), np.load(path, allow_pickle=False) as file:
         names = [f"{start}:{stop}/{name}" for name in Usage.__slots__]
         if names[0] not in file:
             return None

@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from airgs_codec._arguments import brief, described
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.gaussians import LARGEST, Gaussians
+from airgs_codec.scene.gaussians import LARGEST, Doubles, Gaussians
 
 Background = tuple[float, float, float]  # r, g, b, 0..1
+Size = tuple[int, int]  # width, height in pixels
 BLACK: Background = (0.0, 0.0, 0.0)
 MOST_PIXELS = 32_768  # along a side of a picture
 ROTATION_TOLERANCE = 1e-2  # for what files round; axes of another length or not at right angles are something else
@@ -46,7 +47,7 @@ class Camera:
     fy: float  # pixels
     cx: float  # pixels
     cy: float  # pixels
-    world_to_camera: NDArray[np.float64]  # (4, 4) rigid: rotation and translation
+    world_to_camera: Doubles  # (4, 4) rigid: rotation and translation
     split: str = "train"  # "train", or "test" for a held-out camera
     near: float = 0.0  # world units along the view axis, from which Gaussians are drawn; 0: see `with_near_planes`
     background: Background = BLACK  # what is seen behind the scene
@@ -59,7 +60,7 @@ class Camera:
         target: ArrayLike,
         up: ArrayLike = UP,
         *,
-        size: tuple[int, int],
+        size: Size,
         fov_y: float = 50.0,
         name: str = "view",
     ) -> Camera:
@@ -79,7 +80,7 @@ class Camera:
         *,
         camera_to_world: ArrayLike | None = None,
         world_to_camera: ArrayLike | None = None,
-        size: tuple[int, int],
+        size: Size,
         fov_y: float | None = None,
         intrinsics: ArrayLike | None = None,
         name: str = "view",
@@ -101,8 +102,7 @@ class Camera:
             intrinsics = [[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]
         (fx, _, cx), (_, fy, cy), _ = _numbers("intrinsics", intrinsics, (3, 3)).tolist()
         given = "camera_to_world" if world_to_camera is None else "world_to_camera"
-        value = camera_to_world if world_to_camera is None else world_to_camera
-        rows = _numbers(given, value, (4, 4), (3, 4))
+        rows = _numbers(given, camera_to_world if world_to_camera is None else world_to_camera, (4, 4), (3, 4))
         matrix = np.concatenate([rows, np.eye(4)[len(rows) :]])
         try:
             matrix = np.linalg.inv(matrix) if world_to_camera is None else matrix
@@ -113,7 +113,7 @@ class Camera:
         return camera
 
     @property
-    def position(self) -> NDArray[np.float64]:
+    def position(self) -> Doubles:
         """The centre (3,) of the camera in world units."""
         return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
 
@@ -141,7 +141,7 @@ def check_camera(c: Camera) -> None:
         raise ValueError(f"camera {c.name} has a matrix that is not a rotation and a translation")
 
 
-def _numbers(name: str, value: ArrayLike | None, *shapes: tuple[int, ...]) -> NDArray[np.float64]:
+def _numbers(name: str, value: ArrayLike | None, *shapes: tuple[int, ...]) -> Doubles:
     """Return finite numbers of one of some shapes. Raises SceneError for anything else."""
     try:
         found = np.asarray(value, np.float64)
@@ -153,15 +153,7 @@ def _numbers(name: str, value: ArrayLike | None, *shapes: tuple[int, ...]) -> ND
     return found
 
 
-def look_at(
-    position: NDArray[np.float64],
-    target: NDArray[np.float64],
-    up: NDArray[np.float64],
-    *,
-    size: int,
-    fov_y: float,
-    name: str,
-) -> Camera:
+def look_at(position: Doubles, target: Doubles, up: Doubles, *, size: int, fov_y: float, name: str) -> Camera:
     """Return a square camera at `position` (3,) that looks at `target` (3,); `fov_y` in radians, `size` in pixels."""
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, up)
@@ -173,16 +165,15 @@ def look_at(
     return Camera(name, size, size, focal, focal, size / 2, size / 2, rigid(rotation, -rotation @ position))
 
 
-def rigid(turn: NDArray[np.float64], shift: ArrayLike) -> NDArray[np.float64]:
+def rigid(turn: Doubles, shift: ArrayLike) -> Doubles:
     """Return the (4, 4) matrix that turns by (3, 3), then shifts by (3,)."""
     return np.vstack([np.column_stack([turn, shift]), [0.0, 0.0, 0.0, 1.0]])
 
 
 def resized(camera: Camera, share: float) -> Camera:
     """Return the camera with `share` of the pixels on either side, at least 8; unchanged for a share of 1 or more."""
-    if share >= 1:
-        return camera
-    return with_pixels(camera, *(max(8, round(share * side)) for side in (camera.width, camera.height)))
+    size = (max(8, round(share * side)) for side in (camera.width, camera.height))
+    return with_pixels(camera, *size) if share < 1 else camera
 
 
 def with_pixels(camera: Camera, width: int, height: int) -> Camera:
@@ -192,13 +183,11 @@ def with_pixels(camera: Camera, width: int, height: int) -> Camera:
     return replace(camera, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
 
 
-def placed(camera: Camera, shift: NDArray[np.float64], scale: float, turn: NDArray[np.float64] | None = None) -> Camera:
+def placed(camera: Camera, shift: Doubles, scale: float, turn: Doubles | None = None) -> Camera:
     """Return the camera that sees the same of a scene which was turned (3, 3), shifted (3,), and then scaled."""
-    view = camera.world_to_camera.copy()
-    if turn is not None:
-        view[:3, :3] = view[:3, :3] @ turn.T
-    view[:3, 3] = scale * (view[:3, 3] - view[:3, :3] @ shift)
-    return replace(camera, world_to_camera=view, near=scale * camera.near)
+    axes, centre = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
+    axes = axes if turn is None else axes @ turn.T
+    return replace(camera, world_to_camera=rigid(axes, scale * (centre - axes @ shift)), near=scale * camera.near)
 
 
 def cameras_from(origin: ArrayLike, cameras: Iterable[Camera]) -> tuple[Camera, ...]:
@@ -225,12 +214,11 @@ def rig_scale(cameras: Sequence[Camera], points: NDArray[Any] | None) -> float:
     return max(float(np.median(np.linalg.norm(places - looked_at(cameras), axis=1))), radius) or 1.0
 
 
-def looked_at(cameras: Sequence[Camera]) -> NDArray[np.float64]:
+def looked_at(cameras: Sequence[Camera]) -> Doubles:
     """Return the point (3,) nearest to all optical axes, by least squares."""
     total, right = 1e-6 * np.eye(3), np.zeros(3)  # parallel axes meet nowhere: the system would be singular
     for camera in cameras:
-        forward = camera.world_to_camera[2, :3]
-        across = np.eye(3) - np.outer(forward, forward)
+        across = np.eye(3) - np.outer(camera.world_to_camera[2, :3], camera.world_to_camera[2, :3])
         total += across
         right += across @ camera.position
     return np.asarray(np.linalg.solve(total, right), np.float64)
@@ -248,14 +236,14 @@ def scene_scale(cameras: Sequence[Camera], means: NDArray[Any], weights: NDArray
     return float(np.median(seen)) if seen else extent_of(means, weights)[1]
 
 
-def in_picture(c: Camera, points: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+def in_picture(c: Camera, points: Doubles) -> tuple[NDArray[np.bool_], Doubles]:
     """Return whether a camera has finite points (N, 3) in its picture, (N,), and their depths (N,)."""
     x, y, z = c.world_to_camera[:3, :3] @ points.T + c.world_to_camera[:3, 3:]
     across, down = np.abs(c.fx * x + (c.cx - c.width / 2) * z), np.abs(c.fy * y + (c.cy - c.height / 2) * z)
     return (z > 0) & (across <= c.width / 2 * z) & (down <= c.height / 2 * z), z
 
 
-def extent_of(means: NDArray[Any], weights: NDArray[Any]) -> tuple[NDArray[np.float64], float]:
+def extent_of(means: NDArray[Any], weights: NDArray[Any]) -> tuple[Doubles, float]:
     """Return the middle (3,) of weighted points (N, 3), and the distance that holds COVERED of the weight, or 1."""
     if not len(means):
         return np.zeros(3), 1.0
@@ -268,7 +256,7 @@ def training_views(cameras: Sequence[Camera]) -> list[Camera]:
     return [c for c in cameras if not c.held_out] or list(cameras)
 
 
-def orbit_views(gaussians: Gaussians, count: int = 8, size: int = 256, up: NDArray[np.float64] = UP) -> list[Camera]:
+def orbit_views(gaussians: Gaussians, count: int = 8, size: int = 256, up: Doubles = UP) -> list[Camera]:
     """Return `count` square cameras of `size` pixels on a ring around the scene, which is upright along `up` (3,).
 
     They look at the middle of the scene, each from as far away as shows 98 % of the opacity with a margin. Rows that
@@ -281,25 +269,20 @@ def orbit_views(gaussians: Gaussians, count: int = 8, size: int = 256, up: NDArr
 
 
 def dome_views(
-    gaussians: Gaussians,
-    count: int,
-    size: int,
-    up: NDArray[np.float64],
-    rises: tuple[float, float] = (-np.pi / 2, np.pi / 2),
+    gaussians: Gaussians, count: int, size: int, up: Doubles, rises: tuple[float, float] = (-np.pi / 2, np.pi / 2)
 ) -> list[Camera]:
     """Return cameras as `orbit_views` does, spread evenly between two elevations, radians above the horizon."""
-    low, high = np.sin(rises)
-    return _views_from(gaussians, spiral(count, float(low), float(high)), up, size)
+    return _views_from(gaussians, spiral(count, *np.sin(rises).tolist()), up, size)
 
 
-def _views_from(gaussians: Gaussians, sides: NDArray[np.float64], up: NDArray[np.float64], size: int) -> list[Camera]:
+def _views_from(gaussians: Gaussians, sides: Doubles, up: Doubles, size: int) -> list[Camera]:
     """Return cameras from (C, 3) sides of the scene, unit length; the first coordinate is along `up`."""
     across = np.linalg.svd(np.asarray(up, np.float64)[:, None])[0].T[1:]  # the first is `up` or its opposite
     sides = sides @ np.stack([up / np.linalg.norm(up), *across])
     return [side_view(gaussians, side, up, size, f"orbit{i:02d}") for i, side in enumerate(sides)]
 
 
-def spiral(count: int, lowest: float = -1.0, highest: float = 1.0) -> NDArray[np.float64]:
+def spiral(count: int, lowest: float = -1.0, highest: float = 1.0) -> Doubles:
     """Return (count, 3) unit vectors, evenly over the sphere whose first coordinate is in these bounds."""
     rises = highest - (highest - lowest) * (np.arange(count) + 0.5) / max(count, 1)
     turns, across = GOLDEN_ANGLE * np.arange(count), np.sqrt(1 - rises**2)
@@ -307,25 +290,19 @@ def spiral(count: int, lowest: float = -1.0, highest: float = 1.0) -> NDArray[np
 
 
 def side_view(
-    gaussians: Gaussians,
-    side: NDArray[np.float64],
-    up: NDArray[np.float64],
-    size: int,
-    name: str,
-    weights: NDArray[np.float64] | None = None,
+    gaussians: Gaussians, side: Doubles, up: Doubles, size: int, name: str, weights: Doubles | None = None
 ) -> Camera:
     """Return a square camera that sees the scene from a unit vector (3,); `weights` (N,) default to opacity."""
     weights = gaussians.opacities().astype(np.float64) if weights is None else weights
     finite = np.isfinite(gaussians.means).all(axis=1) & np.isfinite(weights)
-    if finite.any():
-        means, weights = gaussians.means[finite].astype(np.float64), weights[finite] + LEAST_WEIGHT
-    else:
+    means, weights = gaussians.means[finite].astype(np.float64), weights[finite] + LEAST_WEIGHT
+    if not len(means):
         means, weights = np.zeros((1, 3)), np.ones(1)
     ends = (1 - COVERED) / 2, (1 + COVERED) / 2
     centre = np.array([sum(weighted_quantile(values, weights, end) for end in ends) / 2 for values in means.T])
     offsets = means - centre
-    matrix = look_at(side, np.zeros(3), up, size=size, fov_y=FIELD_OF_VIEW, name=name).world_to_camera
-    x, y, z = matrix[:3, :3] @ offsets.T
+    ahead = look_at(side, np.zeros(3), up, size=size, fov_y=FIELD_OF_VIEW, name=name)
+    x, y, z = ahead.world_to_camera[:3, :3] @ offsets.T
     wanted = MARGIN / np.tan(FIELD_OF_VIEW / 2) * np.maximum(np.abs(x), np.abs(y)) - z
     radius = weighted_quantile(np.linalg.norm(offsets, axis=1), weights, COVERED)
     # A view from no distance has no direction, nor has one whose distance float32 loses next to its centre; a
@@ -338,8 +315,7 @@ def side_view(
     return replace(camera, near=NEAR_SHARE * away)
 
 
-def weighted_quantile(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
+def weighted_quantile(values: Doubles, weights: Doubles, share: float) -> float:
     """Return the least value that `share` of the weight does not exceed."""
-    order = np.argsort(values)
-    total = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(total, share * total[-1])])
+    total = np.cumsum(weights[order := np.argsort(values)])
+    return float(values[order[np.searchsorted(total, share * total[-1])]])

@@ -40,6 +40,12 @@ def expecting(path: Path, what: str) -> Iterator[None]:
         raise SceneError(f"{path}: expected {what}: {' '.join(reason.split())[:200]}") from error
 
 
+def require(fits: object, where: Path | str, words: str) -> None:
+    """Raise SceneError, which begins with the place, unless `fits` is true."""
+    if not fits:
+        raise SceneError(f"{where}: {words}")
+
+
 def read_json(path: Path) -> Any:
     """Return what a JSON file holds. Raises SceneError."""
     with expecting(path, "JSON"):
@@ -48,8 +54,7 @@ def read_json(path: Path) -> Any:
 
 def read_object(path: Path) -> dict[str, Any]:
     data = read_json(path)
-    if not isinstance(data, dict):
-        raise SceneError(f"{path}: expected a JSON object, got {type(data).__name__}")
+    require(isinstance(data, dict), path, f"expected a JSON object, got {type(data).__name__}")
     return data
 
 

@@ -27,16 +27,11 @@ SATURATED_LOGIT = np.float32(math.log(1019))  # a quarter of a step of 1/255 off
 LARGEST = 30.0  # ln(world units) of a scale that counts: the squares of larger ones leave float32
 SMALL_ANGLE = 1e-8  # radians, below which sin(a/2)/a is 1/2 to float64 precision; above it the division is safe
 Floats = NDArray[np.floating]
+Doubles = NDArray[np.float64]
 _SHAPES = {"means": (3,), "quaternions": (4,), "log_scales": (3,), "opacity_logits": (), "sh_dc": (3,)}  # past N
 # Each step moves the bits of a 21-bit number away from each other: shift, then mask.
-_SPREAD = (
-    (32, 0x001F00000000FFFF),
-    (16, 0x001F0000FF0000FF),
-    (8, 0x100F00F00F00F00F),
-    (4, 0x10C30C30C30C30C3),
-    (2, 0x1249249249249249),
-)
-_LOW_21 = np.uint64(0x1FFFFF)
+_MASKS = [0x1FFFFF, 0x1F00000000FFFF, 0x1F0000FF0000FF, 0x100F00F00F00F00F, 0x10C30C30C30C30C3, 0x1249249249249249]
+_SPREAD = [(np.uint64(32 >> step), np.uint64(mask)) for step, mask in enumerate(_MASKS[1:])]
 # (24, 4) unit quaternions of the rotations that bring a cube to itself, one of q and -q.
 _WHOLE = [q for q in itertools.product((0.0, 1.0, -1.0), repeat=4) if np.count_nonzero(q) in (1, 2, 4)]
 CUBE = np.array([np.divide(q, np.linalg.norm(q)) for q in _WHOLE if next(filter(None, q)) > 0])
@@ -75,11 +70,10 @@ class Gaussians(Columns):
                 object.__setattr__(self, name, as_floats(name, value))
             rest = [(k, 3) for k in SH_REST] if name == "sh_rest" else [_SHAPES[name]]
             if shape not in [(rows, *one) for one in rest]:
-                expected = f"({rows}, K, 3) with K of 0, 3, 8 or 15" if name == "sh_rest" else (rows, *_SHAPES[name])
+                expected = f"({rows}, K, 3) with K of 0, 3, 8 or 15" if name == "sh_rest" else (rows, *rest[0])
+                expected = "(N, 3)" if name == "means" else expected
                 got = type(value).__name__ if shape is None else tuple(shape)
-                raise SceneError(
-                    f"{name}: expected an array of shape {'(N, 3)' if name == 'means' else expected}, got {got}"
-                )
+                raise SceneError(f"{name}: expected an array of shape {expected}, got {got}")
 
     def __repr__(self) -> str:
         ends = [f"({', '.join(f'{x:.4g}' for x in end(self.means, axis=0))})" for end in (np.min, np.max) if len(self)]
@@ -147,11 +141,9 @@ def mean_frame(frames: Sequence[Gaussians]) -> Gaussians:
         share = weights(g) / weight
         turn = np.where(np.einsum("ni,ni->n", g.quaternions, middle.quaternions) < 0, -1.0, 1.0)
         for name, column in g.columns().items():
-            if name == "opacity_logits":
-                sums[name] += g.opacities()
-            else:
-                values = column * turn[:, None] if name == "quaternions" else column
-                sums[name] += values * share.reshape(-1, *[1] * (column.ndim - 1))
+            values = column * turn[:, None] if name == "quaternions" else column
+            values = values * share.reshape(-1, *[1] * (column.ndim - 1))
+            sums[name] += g.opacities() if name == "opacity_logits" else values
     alpha = np.clip(sums["opacity_logits"] / len(frames), ALPHA_LIMIT, 1 - ALPHA_LIMIT)
     sums["opacity_logits"] = np.log(alpha / (1 - alpha))
     means = {name: total.astype(np.float32) for name, total in sums.items()}
@@ -252,7 +244,7 @@ def morton_encode(index: NDArray[np.integer]) -> NDArray[np.uint64]:
     for axis in range(3):
         v = index[:, axis].astype(np.uint64)
         for shift, mask in _SPREAD:
-            v = (v | (v << np.uint64(shift))) & np.uint64(mask)
+            v = (v | (v << shift)) & mask
         code |= v << np.uint64(axis)
     return code
 
@@ -268,8 +260,8 @@ def morton_decode(code: NDArray[np.uint64]) -> NDArray[np.uint32]:
     """Return the (M, 3) grid indices of codes (M,), the inverse of `morton_encode`."""
     index = np.empty((len(code), 3), np.uint32)
     for axis in range(3):
-        v = (code >> np.uint64(axis)) & np.uint64(_SPREAD[-1][1])
-        for (shift, _), mask in zip(reversed(_SPREAD), [m for _, m in reversed(_SPREAD[:-1])] + [_LOW_21], strict=True):
-            v = (v | (v >> np.uint64(shift))) & np.uint64(mask)
+        v = (code >> np.uint64(axis)) & _SPREAD[-1][1]
+        for (shift, _), mask in zip(_SPREAD[::-1], _MASKS[-2::-1], strict=True):
+            v = (v | (v >> shift)) & np.uint64(mask)
         index[:, axis] = v
     return index

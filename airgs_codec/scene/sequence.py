@@ -22,6 +22,7 @@ from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME, Usage
 from airgs_codec.scene.camera import BLACK, Background, Camera, cameras_from
 from airgs_codec.scene.cameras import CAMERA_NAMES, find_cameras, locate_cameras, read_posed
 from airgs_codec.scene.cameras.forms import distinct, lens_notes
+from airgs_codec.scene.files import require
 from airgs_codec.scene.formats import table
 from airgs_codec.scene.formats.clips import clip_of
 from airgs_codec.scene.formats.form import Axes, Bake, Clip, FrameFormat, FrameHeader
@@ -96,10 +97,8 @@ class GaussianSequence:
         views = tuple(argument("cameras", camera, Camera, "cameras") for camera in cameras)
         clip = clip_of(frames, fps)
         paths, behind = (IN_MEMORY,) * len(clip.headers), views[0].background if views else BLACK
-        found = GaussianSequence(
-            IN_MEMORY, paths, clip.headers, clip.fps, None, views, background=behind, alone=True, clip=clip
-        )
-        return _from_own_origin(found)
+        found = GaussianSequence(IN_MEMORY, paths, clip.headers, clip.fps, None, views, alone=True, clip=clip)
+        return _from_own_origin(replace(found, background=behind))
 
     @property
     def sh_degree(self) -> int:
@@ -256,9 +255,9 @@ def _naming(copied: Copied | None) -> Iterator[None]:
 
 
 def _open(place: Path, bake: Bake, views: str | Path | None, fps: Fraction | float | None) -> GaussianSequence:
-    found = table.find_frames(place)
-    path = found.paths[0]
-    if len(found.paths) == 1 and (form := table.clip_format(path)):
+    folder, paths, alone = table.find_frames(place)
+    path = paths[0]
+    if len(paths) == 1 and (form := table.clip_format(path)):
         clip = form.open(path, bake)
         if views is None and path.suffix.lower() == ".splatv":
             try:
@@ -268,11 +267,10 @@ def _open(place: Path, bake: Bake, views: str | Path | None, fps: Fraction | flo
                 clip = replace(clip, note=f"{clip.note}; no cameras from it ({str(error).removeprefix(f'{path}: ')})")
         headed = [(path, header) for header in clip.headers]
         rate = clip.fps if fps is None else fps
-        return sequence_of(found.folder, headed, views=views, fps=rate, alone=True, clip=clip)
-    if bake != Bake():
-        raise SceneError(f"{place}: expected a clip to bake ({', '.join(table.CLIP_SUFFIXES)}), got frames")
-    headed = [(path, table.read_frame_header(path)) for path in found.paths]
-    return sequence_of(found.folder, headed, views=views, fps=fps, alone=found.alone)
+        return sequence_of(folder, headed, views=views, fps=rate, alone=True, clip=clip)
+    require(bake == Bake(), place, f"expected a clip to bake ({', '.join(table.CLIP_SUFFIXES)}), got frames")
+    headed = [(path, table.read_frame_header(path)) for path in paths]
+    return sequence_of(folder, headed, views=views, fps=fps, alone=alone)
 
 
 def sequence_of(
@@ -291,8 +289,7 @@ def sequence_of(
     """
     first, degree = frames[0][0], frames[0][1].sh_degree
     for path, header in frames:
-        if header.count == 0:
-            raise SceneError(f"{path}: expected at least one Gaussian, got none")
+        require(header.count, path, "expected at least one Gaussian, got none")
         if header.sh_degree != degree:
             raise SceneError(f"{path}: expected SH degree {degree} as in {first.name}, got {header.sh_degree}")
     paths, headers = zip(*frames, strict=True)
@@ -301,21 +298,10 @@ def sequence_of(
     posed = read_posed(cameras_path) if cameras_path else []
     cameras = (replace(camera, background=own.background) for camera in distinct(posed))
     gaps = [] if alone else table.gap_notes(paths)
-    found = GaussianSequence(
-        folder,
-        paths,
-        headers,
-        own.fps if fps is None else beside.frame_rate(str(folder), fps),
-        own.keyframes,
-        cameras_from(own.origin, cameras),
-        cameras_path=cameras_path,
-        background=own.background,
-        notes=(*own.notes, *gaps, *lens_notes(posed)),
-        alone=alone,
-        clip=clip,
-        origin=own.origin,
-        stored_at=own.origin,
-    )
+    rate, views_of = own.fps if fps is None else beside.frame_rate(str(folder), fps), cameras_from(own.origin, cameras)
+    found = GaussianSequence(folder, paths, headers, rate, own.keyframes, views_of, alone=alone, clip=clip)
+    found = replace(found, cameras_path=cameras_path, notes=(*own.notes, *gaps, *lens_notes(posed)))
+    found = replace(found, background=own.background, origin=own.origin, stored_at=own.origin)
     return _from_own_origin(found) if origin is None else found.at_origin(origin)
 
 
@@ -335,8 +321,7 @@ class GrowingFolder:
     def __init__(
         self, folder: str | Path, *, views: str | Path | None = None, fps: Fraction | float | None = None
     ) -> None:
-        self._folder = Path(folder)
-        self._views, self._fps = views, fps
+        self._folder, self._views, self._fps = Path(folder), views, fps
         self._frames: list[tuple[Path, FrameHeader]] = []
         self._sequence: GaussianSequence | None = None
         self._read_at = 0  # when the sequence.json of that was written
@@ -350,8 +335,7 @@ class GrowingFolder:
         settings = self._folder / SETTINGS_NAME
         written = settings.stat().st_mtime_ns if settings.is_file() else 0
         if fresh or (self._frames and written != self._read_at):
-            self._frames += fresh
-            self._read_at = written
+            self._frames, self._read_at = self._frames + fresh, written
             origin = self._sequence.origin if self._sequence else None
             self._sequence = sequence_of(self._folder, self._frames, views=self._views, fps=self._fps, origin=origin)
         return self._sequence
@@ -360,8 +344,7 @@ class GrowingFolder:
         """Raise SceneError where a file is not whole, or no frame was written."""
         for path in self._waiting():
             read_ply(path)
-        if self._sequence is None:
-            raise SceneError(f"{self._folder}: expected at least one .ply frame, got none")
+        require(self._sequence, self._folder, "expected at least one .ply frame, got none")
 
     def _waiting(self) -> list[Path]:
         taken = {path for path, _ in self._frames}

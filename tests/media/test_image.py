@@ -25,7 +25,7 @@ def test_labels_darken_their_lines_alone_and_a_contact_sheet_has_a_captioned_til
     assert (sheet[50, [0, 80]] == [[50] * 3, [100] * 3]).all() and (sheet[110, [0, 159]] == [[150] * 3, [0] * 3]).all()
     assert sheet[30, 90].max() < 100, "the second line is darkened, too"
     with pytest.raises(ValueError):
-        image.contact_sheet(pictures, ["a"])
+        image.contact_sheet(pictures, ["a"], columns=2)
 
 
 def test_pictures_grey_alpha_and_16_bits_are_read_as_rgb_and_floats_are_bytes_within_their_bounds(tmp_path):

@@ -189,7 +189,7 @@ def test_deltas(case):
     rows = np.flatnonzero((base.depths >= case["level"]) & (base.depths != 255))
     assert rows.tolist() == case["rows"]
     widths = DELTA.steps(steps, width) * case["factor"]
-    applier = channels.DeltaApplier.of(base, rows, steps)
+    applier = channels.DeltaApplier(base, rows, steps)
     for place, frame in enumerate(case["frames"]):
         codes = np.array(frame["codes"], np.int32)[:, : len(rows)]
         values = from_codes(codes, widths, case["gain"])

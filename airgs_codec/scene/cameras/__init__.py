@@ -13,7 +13,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.cameras import colmap, forms
 from airgs_codec.scene.cameras.forms import Posed, distinct
-from airgs_codec.scene.files import SPLATV_MAGIC, expecting
+from airgs_codec.scene.files import SPLATV_MAGIC, expecting, require
 
 Form = tuple[Callable[[Path], Iterable[Posed]], str]  # what reads a file, and what the file is expected to be
 BY_MAGIC: tuple[tuple[bytes, Form], ...] = (
@@ -26,10 +26,8 @@ BY_JSON: tuple[tuple[set[str], Form], ...] = (  # by names of the object, or of 
     ({"position", "rotation"}, (forms.read_inria, f"INRIA's {forms.INRIA_CAMERAS}")),
 )
 CAMERA_NAMES = (forms.TRANSFORMS, forms.INRIA_CAMERAS, "sparse", forms.PANOPTIC)  # looked for in this order
-CAMERA_FORMS = (
-    "cameras (transforms.json, INRIA's cameras.json, COLMAP's sparse/, Panoptic's train_meta.json, poses_bounds.npy "
-    "or .splatv)"
-)
+_JSON_FORMS = "transforms.json, INRIA's cameras.json, COLMAP's sparse/, Panoptic's train_meta.json"
+CAMERA_FORMS = f"cameras ({_JSON_FORMS}, poses_bounds.npy or .splatv)"
 
 
 def read_cameras(path: Path) -> list[Camera]:
@@ -50,8 +48,7 @@ def read_posed(path: Path) -> list[Posed]:
     reader, words = _form_of(found)
     with expecting(found, words):
         posed = list(reader(found))
-    if not posed:
-        raise SceneError(f"{found}: expected {words}, at least one camera, got none")
+    require(posed, found, f"expected {words}, at least one camera, got none")
     return posed
 
 

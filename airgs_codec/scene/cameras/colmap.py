@@ -15,11 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from airgs_codec.errors import SceneError
 from airgs_codec.media.image import Lens
 from airgs_codec.scene.camera import Camera, rigid
 from airgs_codec.scene.cameras.forms import Posed, as_path, undistorted
-from airgs_codec.scene.files import Cursor, expecting
+from airgs_codec.scene.files import Cursor, expecting, require
 
 _RECONSTRUCTION = "a COLMAP reconstruction"
 PARTS = tuple(f"{name}.{suffix}" for name in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
@@ -86,8 +85,7 @@ def read(folder: Path) -> list[Posed]:
         lines = listed.read_text(encoding="utf-8-sig").splitlines() if listed.is_file() else []
         held_out = {as_path(line.strip()) for line in lines}
         posed = [_posed(name, pose, *cameras[sensor], held_out) for name, sensor, pose in rows]
-    if not posed:
-        raise SceneError(f"{folder}: expected images with poses, got none")
+    require(posed, folder, "expected images with poses, got none")
     return posed
 
 

@@ -2,9 +2,9 @@
 
 - nerfstudio's transforms.json: OpenGL camera-to-world matrices, one entry for each picture; sizes in pixels. What all
   entries share, but for the matrix, may be next to `frames`. Pictures, masks and points may lie anywhere: an absolute
-  path is taken as it is, and another may leave the folder. Beside nerfstudio's fields an entry may have `camera`, a
-  name that is the same at all times, `time_index` or `time`, `near` in world units, and `split`, "test" for a held-out
-  camera; nerfstudio's own lists `test_filenames` and `val_filenames` mark held-out pictures, too.
+  path is taken as it is, and another may leave the folder. Our own fields of an entry are `camera`, a name that is the
+  same at all times, `time_index` or `time`, `near` in world units, and `split`, "test" for a held-out camera;
+  nerfstudio's own lists `test_filenames` and `val_filenames` mark held-out pictures, too.
 - INRIA's cameras.json, as gaussian-splatting (Kerbl et al. 2023) writes it with its models: a list of {id, img_name,
   width, height, position, rotation, fx, fy}. The rotation is camera-to-world in OpenCV's axes, the principal point is
   the middle of the picture, held-out cameras are not marked.
@@ -75,10 +75,9 @@ class Posed:
 def distinct(posed: Iterable[Posed]) -> list[Camera]:
     """Return the cameras in the order in which they first appear: fixed ones once a name, others once a sight."""
     found: dict[object, Camera] = {}
-    for p in posed:
-        c = p.camera
+    for c, fixed in ((p.camera, p.fixed) for p in posed):
         sight = c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes()
-        found.setdefault(c.name if p.fixed else sight, c)
+        found.setdefault(c.name if fixed else sight, c)
     return list(found.values())
 
 
@@ -112,10 +111,6 @@ def lens_notes(posed: Iterable[Posed]) -> tuple[str, ...]:
     return (f"{len(cut)} cameras, such as {next(iter(cut))}, have wide or strongly bending lenses: {left}",)
 
 
-def _inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.linalg.inv(matrix).astype(np.float64)
-
-
 _Entry = ChainMap[str, Any]  # of a picture in transforms.json, over what all share
 
 
@@ -140,7 +135,7 @@ def _of_entry(name: str, entry: _Entry, held_out: set[str]) -> Posed:
     picture = as_path(entry.get("file_path", ""))
     to_world = np.asarray(entry.maps[0]["transform_matrix"], np.float64).reshape(4, 4)
     width, height, fx, fy, cx, cy = (float(entry[key]) for key in ("w", "h", "fl_x", "fl_y", "cx", "cy"))
-    to_camera = _inverse(to_world @ OPENGL_TO_OPENCV)
+    to_camera: NDArray[Any] = np.linalg.inv(to_world @ OPENGL_TO_OPENCV)
     split, near = str(entry.get("split", "test" if picture in held_out else "train")), float(entry.get("near", 0))
     if near <= 0 and "near" in entry:
         raise ValueError(f"near: expected a distance above 0, got {near:g}")
@@ -184,30 +179,26 @@ def _inria_cameras(data: Any) -> Iterator[Posed]:
         tall = int(height * shown / width)  # cut off, not rounded
         to_world = rigid(np.asarray(entry["rotation"], np.float64).reshape(3, 3), entry["position"])
         lens = float(entry["fx"]) * shown / width, float(entry["fy"]) * tall / height, shown / 2, tall / 2
-        yield Posed(Camera(picture, shown, tall, *lens, _inverse(to_world), near=INRIA_NEAR), picture)
+        to_camera: NDArray[Any] = np.linalg.inv(to_world)
+        yield Posed(Camera(picture, shown, tall, *lens, to_camera, near=INRIA_NEAR), picture)
 
 
 def read_panoptic(path: Path) -> Iterator[Posed]:
     """Yield cameras frame by frame; those of a test_meta.json next to the file follow, held out."""
-    yield from _panoptic_cameras(path)
     test = path.with_name(PANOPTIC_TEST)
-    if path != test and test.is_file():
-        yield from _panoptic_cameras(test)
-
-
-def _panoptic_cameras(path: Path) -> Iterator[Posed]:
-    data = read_object(path)
-    size, split = (int(data["w"]), int(data["h"])), "test" if path.name == PANOPTIC_TEST else "train"
-    if not all(map(len, data["fn"])):
-        raise ValueError("a frame has no pictures")
-    for time, moment in enumerate(zip(data["fn"], data["k"], data["w2c"], data["cam_id"], strict=True)):
-        for file, k, w2c, number in zip(*moment, strict=True):
-            if not file:
-                raise ValueError("a picture without a name")
-            m, view = np.asarray(k, np.float64).reshape(3, 3), np.asarray(w2c, np.float64).reshape(4, 4)
-            lens = m[0, 0], m[1, 1], m[0, 2], m[1, 2]
-            camera = Camera(f"cam{number:02d}", *size, *lens, view, split, PANOPTIC_NEAR)
-            yield Posed(camera, as_path(file), time=time, fixed=True)
+    for name in dict.fromkeys((path, test) if test.is_file() else (path,)):
+        data = read_object(name)
+        size, split = (int(data["w"]), int(data["h"])), "test" if name == test else "train"
+        if not all(map(len, data["fn"])):
+            raise ValueError("a frame has no pictures")
+        for time, moment in enumerate(zip(data["fn"], data["k"], data["w2c"], data["cam_id"], strict=True)):
+            for file, k, w2c, number in zip(*moment, strict=True):
+                if not file:
+                    raise ValueError("a picture without a name")
+                m, view = np.asarray(k, np.float64).reshape(3, 3), np.asarray(w2c, np.float64).reshape(4, 4)
+                lens = m[0, 0], m[1, 1], m[0, 2], m[1, 2]
+                camera = Camera(f"cam{number:02d}", *size, *lens, view, split, PANOPTIC_NEAR)
+                yield Posed(camera, as_path(file), time=time, fixed=True)
 
 
 def read_llff(path: Path) -> Iterator[Posed]:

@@ -18,7 +18,6 @@ widths are stored as they are, without logarithm. T frames of N Gaussians.
 
 from __future__ import annotations
 
-import functools
 import json
 import os
 import shutil
@@ -28,6 +27,7 @@ import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from airgs_codec._arguments import described
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.beside import DEFAULT_FPS, MAX_FPS, exact_number, frame_rate
-from airgs_codec.scene.files import Cursor, expecting, open_splatv
+from airgs_codec.scene.files import Cursor, expecting, open_splatv, require
 from airgs_codec.scene.formats.form import (
     MOST_FRAMES,
     Bake,
@@ -73,8 +73,7 @@ def clip_of(frames: Mapping[str, Any] | Iterable[Frame], fps: Fraction | float) 
             expected = f"expected SH degree {headers[0].sh_degree} as in frame 0"
             raise SceneError(f"frame {number}: sh_rest: {expected}, got {g.sh_degree}")
         stored.add(number, g)
-    if not headers:
-        raise SceneError("frames: expected at least one, got none")
+    require(headers, "frames", "expected at least one, got none")
     return Clip(tuple(headers), rate, stored.read, "frames from arrays")
 
 
@@ -82,8 +81,7 @@ def _by_time(arrays: Mapping[str, Any]) -> list[dict[str, NDArray[np.float32]]]:
     """Return the frames of arrays whose first axis is time."""
     columns = _ours({name: as_floats(name, value, name == NAMES[0]) for name, value in arrays.items()}, "frames")
     shape = columns["means"].shape if "means" in columns else ()
-    if len(shape) != 3:
-        raise SceneError(f"means: expected an array of shape (T, N, 3), got {shape or 'none'}")
+    require(len(shape) == 3, "means", f"expected an array of shape (T, N, 3), got {shape or 'none'}")
     for name, column in columns.items():
         if column.shape[:1] != shape[:1]:
             raise SceneError(f"{name}: expected {shape[0]} frames as of means, got the shape {column.shape}")
@@ -125,8 +123,7 @@ def _checked(frame: Frame, where: str) -> Gaussians:
         g = Gaussians(**columns)
     except SceneError as error:
         raise SceneError(f"{where}: {error}") from None
-    if not len(g):
-        raise SceneError(f"{where}: expected at least one Gaussian, got none")
+    require(len(g), where, "expected at least one Gaussian, got none")
     for name, column in g.columns().items():
         with np.errstate(over="ignore"):
             narrow = column.astype(np.float32, copy=False)  # what becomes infinite is refused
@@ -219,13 +216,12 @@ def open_splat4d(path: Path, bake: Bake) -> Clip:
     frame = check_count(path, FrameHeader(count, 0))
     count_frames(path, fps, frames / fps)
     note = f".splat4d, {count} Gaussians in {frames} frames, {float(fps):g} a second"
-    return Clip((frame,) * frames, fps, functools.partial(_read_splat4d, count), note)
+    return Clip((frame,) * frames, fps, partial(_read_splat4d, count), note)
 
 
 def _read_splat4d(count: int, path: Path, frame: int) -> Gaussians:
     places = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
-    command = shutil.which("splat4d", path=places)
-    if command is None:
+    if (command := shutil.which("splat4d", path=places)) is None:
         raise SceneError(f"{path}: .splat4d files need splats4d: pip install 'airgs-codec[formats]'")
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "frame.splat"
@@ -234,8 +230,7 @@ def _read_splat4d(count: int, path: Path, frame: int) -> Gaussians:
         if reason or not target.is_file():
             raise SceneError(f"{path}: expected .splat4d, got what splat4d cannot read at frame {frame}: {reason}")
         g = read_splat(target)
-    if len(g) != count:
-        raise SceneError(f"{path}: expected {count} Gaussians in frame {frame} as its header says, got {len(g)}")
+    require(len(g) == count, path, f"expected {count} Gaussians in frame {frame} as its header says, got {len(g)}")
     return g
 
 
@@ -289,11 +284,11 @@ Load = Callable[[Path], Moving]  # reads a file; raises SceneError, OSError
 
 
 def _open_moving(load: Load, name: str, path: Path, bake: Bake) -> Clip:
-    fps, seconds = bake.fps or DEFAULT_FPS, bake.seconds if bake.seconds is not None else DEFAULT_SECONDS
+    fps, seconds = bake.fps or DEFAULT_FPS, DEFAULT_SECONDS if bake.seconds is None else bake.seconds
     frames, count = count_frames(path, fps, seconds), len(_model(load, path, path.stat().st_mtime_ns).rest)
     note = f"{name}, {count} Gaussians baked to {frames} frames at {float(fps):g} a second: {float(seconds):.4g} s"
     note += " by default, no length is stated" if bake.seconds is None else ""
-    return Clip((FrameHeader(count, 0),) * frames, fps, functools.partial(_frame, load, frames), note)
+    return Clip((FrameHeader(count, 0),) * frames, fps, partial(_frame, load, frames), note)
 
 
 def _frame(load: Load, frames: int, path: Path, frame: int) -> Gaussians:
@@ -301,14 +296,13 @@ def _frame(load: Load, frames: int, path: Path, frame: int) -> Gaussians:
         return _model(load, path, path.stat().st_mtime_ns).at(frame / frames)
 
 
-@functools.lru_cache(maxsize=2)
+@lru_cache(maxsize=2)
 def _model(load: Load, path: Path, _written: int) -> Moving:
     return load(path)
 
 
 def _without_sh(means: Floats, quaternions: Floats, log_scales: Floats, rgb: Floats) -> Gaussians:
-    dc = ((rgb - np.float32(0.5)) / np.float32(SH_C0)).astype(np.float32)
-    nothing = np.zeros(len(means), np.float32)
+    dc, nothing = ((rgb - np.float32(0.5)) / np.float32(SH_C0)).astype(np.float32), np.zeros(len(means), np.float32)
     return Gaussians(means, quaternions, log_scales, nothing, dc, np.zeros((len(means), 0, 3), np.float32))
 
 
@@ -319,13 +313,12 @@ def read_spacetime_ply(path: Path) -> Moving:
         raise SceneError(f"{path}: expected the properties of Spacetime Gaussians, missing {', '.join(missing)}")
     if not names.isdisjoint(_NETWORK):
         raise SceneError(f"{path}: expected Spacetime Gaussians of the lite model, got colours of a network")
-    if not vertex.count:
-        raise SceneError(f"{path}: expected at least one Gaussian, got none")
+    require(vertex.count, path, "expected at least one Gaussian, got none")
     columns = read_columns(path, header, vertex, _GROUPS)
     means, motion, quaternions, turns, log_scales, logits, rgb, centres, log_widths = columns
+    rest = _without_sh(means, quaternions, log_scales, rgb)
     with np.errstate(over="ignore"):
         widths = np.exp(log_widths[:, 0])
-    rest = _without_sh(means, quaternions, log_scales, rgb)
     return Moving(rest, motion.reshape(-1, 3, 3), sigmoid(logits[:, 0]), centres[:, 0], widths, turns)
 
 
@@ -354,7 +347,5 @@ def read_splatv(path: Path) -> Moving:
 FOUR_DGS = ClipFormat(".4dgs", (".4dgs",), open_4dgs)
 SPLAT4D = ClipFormat(".splat4d", (".splat4d",), open_splat4d)
 _SPACETIME = "Spacetime Gaussians .ply"
-SPACETIME_PLY = ClipFormat(
-    _SPACETIME, (".ply",), functools.partial(_open_moving, read_spacetime_ply, _SPACETIME), (_SIGN,)
-)
-SPLATV = ClipFormat(".splatv", (".splatv",), functools.partial(_open_moving, read_splatv, ".splatv"))
+SPACETIME_PLY = ClipFormat(_SPACETIME, (".ply",), partial(_open_moving, read_spacetime_ply, _SPACETIME), (_SIGN,))
+SPLATV = ClipFormat(".splatv", (".splatv",), partial(_open_moving, read_splatv, ".splatv"))

@@ -95,7 +95,7 @@ class ClipFormat:
 
 
 def check_count(path: Path, header: FrameHeader) -> FrameHeader:
-    """Return the header if a file of this size can hold so many rows. Raises SceneError, before memory is taken."""
+    """Return the header if a file of this size can hold its count. Raises SceneError, before memory is taken."""
     size = path.stat().st_size
     if not 0 <= header.count <= size + SPARE_ROWS:
         raise SceneError(f"{path}: expected as many Gaussians as {size} bytes can hold, got {header.count}")

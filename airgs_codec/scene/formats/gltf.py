@@ -29,6 +29,7 @@ EXTENSION = "KHR_gaussian_splatting"
 _COLOURS = ("srgb_rec709_display", "BT.709")  # the second is of drafts
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+_WIDTHS_OF = {"POSITION": 3, f"{EXTENSION}:ROTATION": 4, f"{EXTENSION}:SCALE": 3, f"{EXTENSION}:OPACITY": 1}
 _MOST_JSON = 1 << 24  # bytes
 _MOST_BYTES = 1 << 32  # of a .glb, whose length is a word of 32 bits
 _MOST_NODES = 10_000  # that are walked through, and primitives of splats in them
@@ -123,10 +124,8 @@ def _splats(document: Document) -> Iterator[_Placed]:
 def _local(node: dict[str, Any]) -> NDArray[np.float64]:
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    turn = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1)))
-    return rigid(
-        turn.as_matrix() * np.array(node.get("scale", (1, 1, 1)), np.float64), node.get("translation", (0, 0, 0))
-    )
+    turn, scale = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1))), np.array(node.get("scale", (1, 1, 1)), float)
+    return rigid(turn.as_matrix() * scale, node.get("translation", (0, 0, 0)))
 
 
 def _placed(attributes: dict[str, int], extension: dict[str, Any], matrix: NDArray[np.float64]) -> _Placed:
@@ -186,8 +185,7 @@ def _column(document: Document, buffers: list[bytes], accessor: int, width: int)
 
 
 def _read(document: Document, buffers: list[bytes], primitive: _Placed, degree: int) -> Gaussians:
-    widths = {"POSITION": 3} | {f"{EXTENSION}:{n}": w for n, w in (("ROTATION", 4), ("SCALE", 3), ("OPACITY", 1))}
-    widths |= dict.fromkeys(_harmonics(degree), 3)
+    widths = _WIDTHS_OF | dict.fromkeys(_harmonics(degree), 3)
     columns = [_column(document, buffers, primitive.attributes[name], width) for name, width in widths.items()]
     means, rotations, scales, alpha, dc, *rest = columns
     if {*map(len, columns)} != {len(means)}:
@@ -197,8 +195,7 @@ def _read(document: Document, buffers: list[bytes], primitive: _Placed, degree: 
         log_scales = logs_of(scales) + math.log(primitive.scale)
         placed: NDArray[Any] = means @ turn.T + shift
     rotation = Rotation.from_matrix(turn / primitive.scale).as_quat(scalar_first=True)
-    rotations = rotations[:, [3, 0, 1, 2]]
-    quaternions = multiply(np.broadcast_to(rotation, rotations.shape), rotations)
+    quaternions = multiply(np.broadcast_to(rotation, rotations.shape), rotations[:, [3, 0, 1, 2]])
     sh = np.stack(rest, axis=1) if rest else np.zeros((len(means), SH_REST[0], 3))
     others = (quaternions, log_scales, logits_of(alpha[:, 0]), dc, sh)
     kind = np.float64 if shift.any() else np.float32
@@ -211,14 +208,9 @@ def write_glb(path: Path, gaussians: Gaussians) -> None:
     Raises SceneError for more rows than a .glb can hold.
     """
     g = gaussians
-    columns = {
-        "POSITION": g.means,
-        f"{EXTENSION}:ROTATION": g.quaternions[:, [1, 2, 3, 0]],
-        f"{EXTENSION}:SCALE": np.exp(g.log_scales),
-        f"{EXTENSION}:OPACITY": g.opacities(),
-    }
-    coefficients = (g.sh_dc, *(g.sh_rest[:, i] for i in range(g.sh_rest.shape[1])))
-    columns |= dict(zip(_harmonics(g.sh_degree), coefficients, strict=True))
+    coefficients = g.sh_dc, *(g.sh_rest[:, i] for i in range(g.sh_rest.shape[1]))
+    values = g.means, g.quaternions[:, [1, 2, 3, 0]], np.exp(g.log_scales), g.opacities(), *coefficients
+    columns = dict(zip([*_WIDTHS_OF, *_harmonics(g.sh_degree)], values, strict=True))
     size = sum(column.nbytes for column in columns.values())
     text = json.dumps(_document_of(columns, size), separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.files import require
 from airgs_codec.scene.formats.form import SIZES, Axes, FrameFormat, FrameHeader, Holds, check_count
 from airgs_codec.scene.formats.ply import read_header, read_ply, write_ply
 from airgs_codec.scene.formats.sandbox import run_limited
@@ -73,22 +74,17 @@ ROW_BYTES = _ROW.itemsize
 def read_splat_header(path: Path) -> FrameHeader:
     """Return the count, from the length. Raises SceneError when it is not of whole rows."""
     size = path.stat().st_size
-    if not size or size % ROW_BYTES:
-        raise SceneError(f"{path}: expected .splat rows of {ROW_BYTES} bytes, got a file of {size}")
+    require(size and not size % ROW_BYTES, path, f"expected .splat rows of {ROW_BYTES} bytes, got a file of {size}")
     return FrameHeader(size // ROW_BYTES, 0)
 
 
 def read_splat(path: Path) -> Gaussians:
-    read_splat_header(path)
+    count = read_splat_header(path).count
     rows = np.fromfile(path, _ROW)
-    return Gaussians(
-        np.ascontiguousarray(rows["means"]),
-        (rows["rotation"].astype(np.float32) - np.float32(128)) / np.float32(128),
-        logs_of(rows["scales"]),
-        logits_of(rows["rgba"][:, 3] / 255),
-        ((rows["rgba"][:, :3] / 255 - 0.5) / SH_C0).astype(np.float32),
-        np.zeros((len(rows), 0, 3), np.float32),
-    )
+    means, turns, rgba = np.ascontiguousarray(rows["means"]), rows["rotation"].astype(np.float32), rows["rgba"] / 255
+    turns, dc = (turns - np.float32(128)) / np.float32(128), ((rgba[:, :3] - 0.5) / SH_C0).astype(np.float32)
+    rest = np.zeros((count, 0, 3), np.float32)
+    return Gaussians(means, turns, logs_of(rows["scales"]), logits_of(rgba[:, 3]), dc, rest)
 
 
 def write_splat(path: Path, gaussians: Gaussians) -> None:
@@ -124,11 +120,9 @@ def read_spz_header(path: Path) -> FrameHeader:
         head = zlib.decompressobj(zlib.MAX_WBITS | 16).decompress(start, _HEAD.size) if packed else start[: _HEAD.size]
     except zlib.error as error:
         raise SceneError(f"{path}: expected an .spz file, got broken gzip: {error}") from error
-    if len(head) < _HEAD.size or head[:4] != b"NGSP":
-        raise SceneError(f"{path}: expected an .spz file, got {start[:8]!r}")
+    require(len(head) == _HEAD.size and head[:4] == b"NGSP", path, f"expected an .spz file, got {start[:8]!r}")
     _, version, count, degree, bits = _HEAD.unpack(head)
-    if version not in ((2, 3) if packed else (4,)):
-        raise SceneError(f"{path}: expected .spz of version 2 to 4, got {version}")
+    require(version in ((2, 3) if packed else (4,)), path, f"expected .spz of version 2 to 4, got {version}")
     if degree >= len(SH_REST) or not 1 <= bits <= _MAX_BITS:
         raise SceneError(f"{path}: expected SH degree 0 to 3 and 1 to {_MAX_BITS} bits, got {degree} and {bits}")
     return check_count(path, FrameHeader(count, degree))
@@ -155,8 +149,7 @@ def write_spz(path: Path, gaussians: Gaussians) -> None:
     """
     data, far = _for_gsply(path, ".spz", gaussians), float(np.abs(gaussians.means).max(initial=0))
     bits = min(_USUAL_BITS, int(np.floor(np.log2(_LARGEST / max(far, 1)))))
-    if bits < 1:
-        raise SceneError(f"{path}: expected positions within {_LARGEST // 2} for .spz, got {far:g}")
+    require(bits >= 1, path, f"expected positions within {_LARGEST // 2} for .spz, got {far:g}")
     from gsply import write_spz as write
 
     write(path, data, version=3, fractional_bits=bits)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.files import BOM, expecting
+from airgs_codec.scene.files import BOM, expecting, require
 from airgs_codec.scene.formats.form import FrameFormat, FrameHeader, Holds
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 
@@ -80,8 +80,7 @@ def read_header(path: Path) -> PlyHeader:
     newline = next((end for end in (b"\r\n", b"\n", b"\r") if head.removeprefix(BOM).startswith(b"ply" + end)), b"")
     last = newline + b"end_header" + newline
     end = head.find(last)
-    if not newline or end < 0:
-        raise SceneError(f"{path}: expected a .ply header, got {head[:16]!r}")
+    require(newline and end >= 0, path, f"expected a .ply header, got {head[:16]!r}")
     lines = head[:end].decode("ascii", "replace").split(newline.decode())
     with expecting(path, "a .ply header"):
         return _parse(lines[1:], end + len(last))
@@ -116,9 +115,7 @@ def _parse(lines: Sequence[str], size: int) -> PlyHeader:
     return PlyHeader(form == "ascii", elements, size)
 
 
-def read_columns(
-    path: Path, header: PlyHeader, element: Element, groups: Sequence[Sequence[str]]
-) -> list[NDArray[Any]]:
+def read_columns(path: Path, header: PlyHeader, element: Element, groups: Sequence[Sequence[str]]) -> list[NDArray]:
     """Read an (N, len(names)) array for each group of property names; elements that follow are ignored.
 
     It is float32, but the first float64 where its properties do not fit that. Raises SceneError when the element or one
@@ -205,8 +202,7 @@ def _open(path: Path) -> tuple[PlyHeader, Element, int]:
     if "log_duration" in names:
         raise SceneError(f"{path}: expected Gaussians at rest, got those of FTGS, which move: bake them to frames")
     rest = sum(name.startswith("f_rest_") for name in names)
-    if rest % 3 or rest // 3 not in SH_REST:
-        raise SceneError(f"{path}: expected 0, 9, 24 or 45 f_rest properties, got {rest}")
+    require(not rest % 3 and rest // 3 in SH_REST, path, f"expected 0, 9, 24 or 45 f_rest properties, got {rest}")
     wanted = (*_MEANS, *_DC, *_OPACITY, *_SCALES[:2], *_ROTATION, *_rest_names(rest // 3))
     if missing := [name for name in wanted if name not in names]:
         raise SceneError(f"{path}: expected INRIA Gaussian properties, missing {', '.join(missing)}")
@@ -258,8 +254,7 @@ def read_points(path: Path) -> tuple[NDArray[np.floating], NDArray[np.float32] |
     """
     header, vertex = read_vertex(path, "points")
     types = vertex.properties
-    if not {*_MEANS} <= types.keys():
-        raise SceneError(f"{path}: expected a point cloud with x, y, z, got {', '.join(types)[:80]}")
+    require({*_MEANS} <= types.keys(), path, f"expected a point cloud with x, y, z, got {', '.join(types)[:80]}")
     if not {*_COLOUR} <= types.keys():
         return read_columns(path, header, vertex, (_MEANS,))[0], None
     positions, colours = read_columns(path, header, vertex, (_MEANS, _COLOUR))

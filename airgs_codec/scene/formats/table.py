@@ -21,7 +21,7 @@ from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.places.whole import atomic_path, staged_files
 from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME, Settings, write_settings
 from airgs_codec.scene.camera import BLACK, Background
-from airgs_codec.scene.files import expecting
+from airgs_codec.scene.files import expecting, require
 from airgs_codec.scene.formats.clips import FOUR_DGS, SPACETIME_PLY, SPLAT4D, SPLATV, as_gaussians
 from airgs_codec.scene.formats.form import ClipFormat, FrameFormat, FrameHeader, Losses
 from airgs_codec.scene.formats.gltf import GLTF
@@ -38,19 +38,9 @@ CLIP_SUFFIXES = tuple(suffix for form in CLIPS for suffix in form.suffixes if su
 POINT_CLOUD, ITERATION = "point_cloud", "iteration_*/point_cloud.ply"  # of an INRIA model: the second in the first
 LEVELS = "lod-meta.json"  # of a scene whose folders are pieces of it in levels of detail
 INPUT = "input.ply"  # the points that such a model began with
-_ARCHIVES = (".zip",)  # of a data set rather
 SOG_FOLDER = replace(SOG, name="SOG folder", key="sog-folder", write=write_sog_folder)
 KEYS = tuple(form.key for form in FRAMES)  # the names of formats that can be asked for
 Numbered = tuple[int, Gaussians]  # a frame and its number
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """Frames in display order, and the folder that cameras are looked for in."""
-
-    folder: Path
-    paths: tuple[Path, ...]
-    alone: bool  # one file, named itself
 
 
 def clip_format(path: Path) -> ClipFormat | None:
@@ -101,13 +91,12 @@ def read(path: str | Path) -> Gaussians:
 
     Raises SceneError for a broken one, one of no format or of many frames, and positions that float32 cannot hold.
     """
-    found = find_frames(Path(path_argument("path", path)))
-    if len(found.paths) != 1:
-        raise SceneError(f"{path}: expected one frame, got {len(found.paths)}")
-    g = read_frame(found.paths[0])
+    _, paths, _ = find_frames(Path(path_argument("path", path)))
+    require(len(paths) == 1, path, f"expected one frame, got {len(paths)}")
+    g = read_frame(paths[0])
     if g.means.dtype != np.float32 and choose_origin(g) != ZERO:
         raise SceneError(f"{path}: expected positions near zero, got some that float32 cannot hold: open_sequence can")
-    return narrowed(g, np.zeros(3), found.paths[0])
+    return narrowed(g, np.zeros(3), paths[0])
 
 
 def is_frame(path: Path) -> bool:
@@ -117,40 +106,38 @@ def is_frame(path: Path) -> bool:
     return is_sog_folder(path) if path.is_dir() else path.suffix.lower() in FRAME_SUFFIXES
 
 
-def find_frames(place: Path) -> Found:
+def find_frames(place: Path) -> tuple[Path, tuple[Path, ...], bool]:
     """Find the frames at a path: a file, a folder of frames, an INRIA model, a SOG folder or its meta.json.
 
+    Returns the folder that cameras are looked for in, frames in display order, and whether one file was named itself.
     Frames of a folder have one suffix; where some are .ply, other files are ignored. Raises SceneError.
     """
     if place.name == META_NAME and is_sog_folder(place.parent):
         place = place.parent
     if place.is_file() or is_sog_folder(place):
-        return Found(place.parent, (place,), True)
-    if not place.is_dir():
-        raise SceneError(f"{place}: expected a folder of frames or a file, got nothing")
+        return place.parent, (place,), True
+    require(place.is_dir(), place, "expected a folder of frames or a file, got nothing")
     if (place / LEVELS).exists():
         raise SceneError(f"{place}: expected frames, got levels of detail ({LEVELS}): splat-transform converts them")
     paths = sorted(filter(is_frame, place.iterdir()), key=lambda path: (natural_key(path), path.name))
     paths = [path for path in paths if path.suffix.lower() in INRIA.suffixes] or paths
-    if {path.name for path in paths} <= {INPUT}:
-        models = [*place.glob(f"{POINT_CLOUD}/{ITERATION}"), *place.glob(ITERATION)]
-        if models:
-            newest = max(models, key=lambda path: natural_key(path.parent))
-            return Found(newest.parent, (newest,), False)
+    models = [*place.glob(f"{POINT_CLOUD}/{ITERATION}"), *place.glob(ITERATION)]
+    if models and {path.name for path in paths} <= {INPUT}:
+        newest = max(models, key=lambda path: natural_key(path.parent))
+        return newest.parent, (newest,), False
     if not paths:
         if clip := next((path for path in sorted(place.iterdir()) if path.suffix.lower() in CLIP_SUFFIXES), None):
             raise SceneError(f"{place}: expected frames, got a clip: give {clip} by its own name")
         raise SceneError(f"{place}: expected at least one .ply frame, or one of another format, got none")
     if len(suffixes := sorted({"folders" if path.is_dir() else path.suffix.lower() for path in paths})) > 1:
         raise SceneError(f"{place}: expected frames of one format, got {', '.join(suffixes)}")
-    return Found(place, tuple(paths), False)
+    return place, tuple(paths), False
 
 
 def has_frames(folder: Path, *, apart_from: Collection[str]) -> bool:
     """Return whether frames of some format lie in a folder, or it is one; files of some names do not count."""
-    return is_sog_folder(folder) or any(
-        is_frame(path) and path.name not in apart_from and path.suffix not in _ARCHIVES for path in folder.iterdir()
-    )
+    frames = (path for path in folder.iterdir() if is_frame(path) and path.suffix != ".zip")  # that is of a data set
+    return is_sog_folder(folder) or any(path.name not in apart_from for path in frames)
 
 
 def natural_key(path: Path) -> list[tuple[int, str]]:
@@ -201,9 +188,8 @@ def choose_target(place: str, key: str | None, frames: int) -> Target:
     elif place.endswith(os.sep) or ending is None:
         target = Target(path, named or INRIA, True)
     elif named not in (None, ending):
-        raise ConfigError(
-            f"{place}: expected a name that ends in .{named.key}, or in / for a folder, got another format"
-        )
+        expected = f"expected a name that ends in .{named.key}, or in / for a folder"
+        raise ConfigError(f"{place}: {expected}, got another format")
     else:
         target = Target(path, ending, False)
     if target.folder and target.path.exists() and not target.path.is_dir():
@@ -217,11 +203,7 @@ def choose_target(place: str, key: str | None, frames: int) -> Target:
 
 
 def write_frames(
-    target: Target,
-    frames: Iterable[Numbered],
-    fps: Fraction,
-    background: Background = BLACK,
-    origin: Origin = ZERO,
+    target: Target, frames: Iterable[Numbered], fps: Fraction, background: Background = BLACK, origin: Origin = ZERO
 ) -> list[str]:
     """Write numbered frames; returns a line for each kind of loss.
 

@@ -102,7 +102,7 @@ def run(options: Options, lab: Lab) -> Page:
         lab.tell(summary(options.scene.resolve().name, judged))
     rows = [row for split in judged for row in split.rows]
     captions = [f"split {row.split} {row.camera}, haze {row.haze:.3f}" for row in rows]
-    sheet = contact_sheet([picture for split in judged for picture in split.half_way], captions)
+    sheet = contact_sheet([picture for split in judged for picture in split.half_way], captions, columns=4)
     write_png(lab.folder / "half-way.png", sheet)
     name = options.scene.resolve().name
     how = (
