@@ -18,6 +18,8 @@ from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.beside import Usage
 from airgs_codec.scene.gaussians import Gaussians
 
+Values = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 PRECISION = 0.01  # of the rows
 CLOSE = 0.85  # of the squared error that is allowed: enough rows are left out
 DETAIL = 37  # times the error that is allowed: where a picture without rows differs by more, it shows something else
@@ -72,7 +74,7 @@ class RowPruning:
     """Leaves out the least important rows of some frames."""
 
     def __init__(
-        self, pictures: Iterable[Still], rank: NDArray[np.float64], errors: dict[int, float], renderer: Renderer = CPU
+        self, pictures: Iterable[Still], rank: Values, errors: dict[int, float], renderer: Renderer = CPU
     ) -> None:
         """`rank` is the (N,) `importance` of the rows; `errors` holds what has been rendered: rows left out -> error.
 
@@ -171,11 +173,8 @@ class RowPruning:
 
 
 def select_omissions(
-    sizes: NDArray[np.float64],
-    guesses: NDArray[np.float64],
-    error: Callable[[NDArray[np.bool_], float], float],
-    price: float,
-) -> tuple[NDArray[np.bool_], float]:
+    sizes: Values, guesses: Values, error: Callable[[Mask, float], float], price: float
+) -> tuple[Mask, float]:
     """Choose which of (c,) things to leave out, as a mask, and return the mean squared error that this makes.
 
     `sizes` are bytes a frame; `guesses`, estimates of the error of leaving each one out, only rank the things; `error`
@@ -224,9 +223,7 @@ class CostSums:
         return np.array(sizes), np.maximum(0.0, self.errors - CODING_VARIANCE * self.weights)
 
 
-def estimate_cost(
-    values: NDArray[np.float64], centres: NDArray[np.float64], weights: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def estimate_cost(values: Values, centres: Values, weights: Values) -> tuple[Values, Values]:
     """Return (c,) bytes that each channel of `values` takes, and (c,) errors if it were constant at its centre.
 
     `values` (T, c, n) and `centres` (c,) are in steps, `weights` (c, n) are the squared error of pictures for a

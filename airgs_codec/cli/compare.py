@@ -42,9 +42,7 @@ class Compare:
     every: int = setting(1, EVERY_HELP, validator=Number(gte=1))
     rung: str | None = setting(None, "keyframe quality and level of the package, of B where both are", default="Q0+L0")
     views: Path | None = setting(None, VIEWS_HELP, default="those of A, B or a package's region, or an orbit")
-    output: Path | None = setting(
-        None, "folder for a picture of A, B and their worst difference", alias="-o", metavar="DIR"
-    )
+    output: Path | None = setting(None, "folder for a picture of A, B and the worst", alias="-o", metavar="DIR")
     json: bool = setting(False, "the same as JSON")
     baking: BakingOptions = field(default_factory=BakingOptions)
 

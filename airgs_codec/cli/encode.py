@@ -72,28 +72,18 @@ class Encode:
         ".splat4d, Spacetime Gaussians .ply), either at s3://, gs://, az:// too, or a folder of multi-view pictures"
     )
     output: str | None = setting(None, f"a folder or {BUCKET}", alias="-o", metavar="PLACE", default="SCENE.airgs")
-    preset: str = setting(
-        "default",
-        "settings to begin with: quick makes no trial encodes, paper has its levels",
-        choices=tuple(BY_PRESET),
-    )
+    preset: str = setting("default", "quick makes no trial encodes, paper has its levels", choices=tuple(BY_PRESET))
     settings: Given = given(EncodeSettings, "encoder", ("quality", "group_frames", "margin"))
     plan: str | bool | None = setting(None, "alone: print what would be chosen, as JSON; with such a file: follow it")
-    track: bool | None = setting(
-        None, "first fit Gaussians that move to frames that share no rows", default="where the first frames share none"
-    )
+    track: bool | None = setting(None, "fit Gaussians to frames that share no rows", default="where the first do not")
     target_psnr: float | None = setting(None, "search for the quality that gives the top rung this PSNR", metavar="DB")
     target_de: float | None = setting(None, "the same for a mean colour difference CIEDE2000", metavar="ΔE")
     target_mbps: float | None = setting(None, "the same for a bit rate of playback", metavar="MBPS")
     views: Path | None = setting(None, f"cameras to measure with{FORMS}", default="beside the frames, else an orbit")
     fps: Fraction | None = setting(None, "frames a second", default="what the scene says, else 30", **FPS)
-    up: tuple[float, ...] | None = setting(
-        None, "direction that points up in the frames, x, -y, … or X,Y,Z; by default as their format has it", **AXIS
-    )
+    up: tuple[float, ...] | None = setting(None, "up in the frames, x, -y, … or X,Y,Z, else as their format", **AXIS)
     unit: float | None = setting(None, "with --up: metres that a unit of the frames is long", topic="which way is up")
-    transform: Path | None = setting(
-        None, "instead: a file of 3x4 or 4x4 numbers, to a world with y up in metres", topic="which way is up"
-    )
+    transform: Path | None = setting(None, "instead: 3x4 or 4x4 numbers, to y up in metres", topic="which way is up")
     follow: bool = setting(False, "encode group by group while frames are still being written")
     idle: float = setting(30.0, "seconds without a frame that end --follow, unless stdin is a pipe", topic="output")
     device: str = setting("auto", f"where video is trained and pictures are drawn{CUDA}", topic="work", **DEVICE)
@@ -138,9 +128,8 @@ def encode(options: Encode) -> int:
             bar.close()
             say(chosen.to_json())
             return 0
-        done = publish(
-            sequence, target, settings, goal=goal, plan=plan, executor=work.executor, work=stored, progress=bar
-        )
+        how: Given = {"goal": goal, "executor": work.executor, "progress": bar}
+        done = publish(sequence, target, settings, plan=plan, work=stored, **how)
         if options.report:
             write_report(options.report, sequence, open_package(target), done, bar)
     for decision in done.manifest.decisions:
@@ -289,11 +278,9 @@ def _as_words(report: EncodeReport, target: str) -> str:
     parts = ", ".join(f"{stage.about} {stage.seconds:.1f}" for stage in stages if stage.seconds >= 0.05)
     megabytes = (m.media_bytes() + report.manifest_bytes) / 1e6
     size = f"{m.frames} frames, {float(m.frames / m.fps):.2f} s, {megabytes:.2f} MB with all rungs"
-    return (
-        f"{format_ladder(m, report.manifest_bytes)}\n\n"
-        f"{target}: {size}; {sum(stage.seconds for stage in stages):.0f} s ({parts})\n"
-        f"play it: airgs-serve {target}; all tables: airgs-manifest inspect {target}"
-    )
+    took = f"{sum(stage.seconds for stage in stages):.0f} s ({parts})"
+    next_steps = f"play it: airgs-serve {target}; all tables: airgs-manifest inspect {target}"
+    return f"{format_ladder(m, report.manifest_bytes)}\n\n{target}: {size}; {took}\n{next_steps}"
 
 
 main = partial(run_program, "airgs-encode", encode)

@@ -79,6 +79,7 @@ def read_three(kind: type, words: str) -> Callable[[str], tuple[Any, ...]]:
 
 
 FPS: Given = {"read": read_rate, "metavar": "FPS"}  # of options that are one
+CLIP_FPS, CLIP_SECONDS = FPS | {"topic": "clips"}, {"read": read_fraction, "metavar": "S", "topic": "clips"}
 DEVICE: Given = {"choices": ("auto", "cpu", "cuda")}
 AXIS: Given = {"read": parse_up, "metavar": "AXIS", "allow_leading_hyphen": True}
 
@@ -210,12 +211,8 @@ def parse_range(text: str, frames: int) -> tuple[int, int]:
 class BakingOptions:
     """How `open_sequence` reads a clip; None: as the file says, or else the default of its format."""
 
-    bake_fps: Fraction | None = setting(
-        None, "frames a second that a clip is baked to", default="what the file says, else 30", topic="clips", **FPS
-    )
-    duration: Fraction | None = setting(
-        None, "seconds of a clip whose file states none", default="5/3", topic="clips", read=read_fraction, metavar="S"
-    )
+    bake_fps: Fraction | None = setting(None, "frames a second of a clip", default="the file's, else 30", **CLIP_FPS)
+    duration: Fraction | None = setting(None, "seconds of a clip whose file states none", default="5/3", **CLIP_SECONDS)
 
 
 @as_options
@@ -224,9 +221,7 @@ class WorkOptions:
     """Who does the work (docs/farm.md): processes of this machine, or a Dask cluster."""
 
     jobs: int = setting(1, "processes that share the work", validator=Number(gte=1))
-    work: str | None = setting(
-        None, f"where results stay, so that a run that was cut off goes on: a folder or {BUCKET}", metavar="PLACE"
-    )
+    work: str | None = setting(None, f"where results of a run stay to go on from: folder, {BUCKET}", metavar="PLACE")
     executor: str | None = setting(None, EXECUTOR, metavar="dask[:ADDRESS]", topic="work")
 
     def shared_by(self) -> str | None:

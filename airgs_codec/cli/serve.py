@@ -29,9 +29,7 @@ class Serve:
     packages: tuple[Path, ...] = required(SERVED)
     host: str = setting("127.0.0.1", "address to listen at; 0.0.0.0: all")
     port: int = setting(8000, "port to listen at, 0: any free one")
-    certificate: Path | None = setting(
-        None, "certificate with its chain, for https with HTTP/2; needs --key", metavar="PEM"
-    )
+    certificate: Path | None = setting(None, "certificate chain, for https with HTTP/2; needs --key", metavar="PEM")
     key: Path | None = setting(None, "key of the certificate", metavar="PEM")
 
 

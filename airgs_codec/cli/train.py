@@ -45,6 +45,8 @@ FIT_ITERATIONS = ("first_iterations", "keyframe_iterations", "frame_iterations")
 EFFORTS = {"quick": 0.4, "normal": 1.0, "high": 2.5}
 EFFORT_WORDS = ", ".join(f"{factor:g} ({name})" for name, factor in EFFORTS.items())
 COUNTS, SYNC = "FIRST,KEY,FRAME", "auto|off|FILE"
+SCENE: Given = {"topic": "scene"}
+EVERYDAY = ("max_size", "background", "budget", "max_drop_db", "group_frames")
 NOTED_DB = 0.2  # that held-out views gain by matching their exposure, from which a frame says so
 PAGE_SHARE = 10  # times as long as it takes to write a page is trained before the next one
 
@@ -58,16 +60,10 @@ class Train:
     )
     output: Path | None = setting(None, "model folder", alias="-o", metavar="DIR", default="SCENE.gaussians")
     resume: bool = setting(False, "go on with the run in the model folder")
-    preset: str = setting(
-        TRAIN_PRESETS[0],
-        "settings to begin with: paper has the AirGS paper's method and constants",
-        choices=TRAIN_PRESETS,
-    )
+    preset: str = setting(TRAIN_PRESETS[0], "paper: the AirGS paper's method and constants", choices=TRAIN_PRESETS)
     frames: str = setting(":", FRAMES_HELP, metavar="A:B", default="all")
     fps: Fraction | None = setting(None, "frames a second", default="what the scene says, else 30", **FPS)
-    hold_out: str | None = setting(
-        None, "test cameras, with commas, or none", metavar="NAMES", default="the scene's, else one in eight"
-    )
+    hold_out: str | None = setting(None, "test cameras, or none", metavar="NAMES", default="the scene's, or an eighth")
     effort: str = setting("normal", f"iterations of every frame, times {EFFORT_WORDS}", choices=tuple(EFFORTS))
     iterations: tuple[int, ...] | None = setting(
         None,
@@ -76,15 +72,9 @@ class Train:
         metavar=COUNTS,
         read=read_three(int, COUNTS),
     )
-    settings: Given = given(
-        TrainSettings, "method", ("max_size", "background", "budget", "max_drop_db", "group_frames")
-    )
-    near: float | None = setting(
-        None, "hide Gaussians nearer to a camera, in world units", default="the scene's, else 0.01", topic="scene"
-    )
-    sync: str = setting(
-        AUTO, "match cameras by what moves, or by JSON of how many frames each is late", metavar=SYNC, topic="scene"
-    )
+    settings: Given = given(TrainSettings, "method", EVERYDAY)
+    near: float | None = setting(None, "hide what is nearer, in world units", default="the scene's, else 0.01", **SCENE)
+    sync: str = setting(AUTO, "match cameras by what moves, or JSON of frames each is late", metavar=SYNC, **SCENE)
     device: str = setting("auto", f"where it runs{CUDA}", **DEVICE)
     report: Path | None = setting(None, "folder for a page with curves, pictures and error maps", metavar="DIR")
     json: bool = setting(False, "print the record as JSON instead of a line a frame")

@@ -261,10 +261,8 @@ def compare_rungs(
     views = [(number, camera) for number in frames for camera in cameras]
     found = compare_streams(rung_streams(package, frames), frames_of(original, frames), views, Difference.of, progress)
     _count_blank(next(iter(found.values())))
-    return [
-        {"rung": rung.name, **dataclasses.asdict(pool(found[rung.name])), "claimed": rung.psnr}
-        for rung in package.rungs
-    ]
+    measured = {name: dataclasses.asdict(pool(some)) for name, some in found.items()}
+    return [{"rung": rung.name, **measured[rung.name], "claimed": rung.psnr} for rung in package.rungs]
 
 
 def format_rungs(rows: Sequence[Row]) -> str:
@@ -287,7 +285,7 @@ class Comparison:
     gaussians: tuple[tuple[int, int], tuple[int, int]]  # of A and of B: fewest and most rows of a frame
     quality: Quality  # of pictures that show something
     pictures: tuple[ComparedPicture, ...]  # all, frame after frame
-    blank: int = 0  # of them, which show nothing of either
+    blank: int  # of them, which show nothing of either
 
     __repr__ = brief
 
@@ -335,16 +333,10 @@ def compare_two(a: Side, b: Side, frames: range, cameras: Sequence[Camera], prog
     rows: tuple[list[int], list[int]] = ([], [])
     reference, stream = (_counted(side.read(frames), count) for side, count in zip((a, b), rows, strict=True))
     differences = compare_streams({b.name: stream}, reference, views, Difference.of, progress)[b.name]
-    return Comparison(
-        frames=tuple(frames),
-        cameras=tuple(camera.name for camera in cameras),
-        gaussians=((min(rows[0]), max(rows[0])), (min(rows[1]), max(rows[1]))),
-        quality=pool(differences),
-        pictures=tuple(
-            ComparedPicture(*view, psnr(difference.mse)) for view, difference in zip(views, differences, strict=True)
-        ),
-        blank=_count_blank(differences),
-    )
+    blank, names = _count_blank(differences), tuple(camera.name for camera in cameras)
+    pictures = tuple(ComparedPicture(*view, psnr(d.mse)) for view, d in zip(views, differences, strict=True))
+    counts = (min(rows[0]), max(rows[0])), (min(rows[1]), max(rows[1]))
+    return Comparison(tuple(frames), names, counts, pool(differences), pictures, blank)
 
 
 def _counted(frames: Iterator[Gaussians], rows: list[int]) -> Iterator[Gaussians]:

@@ -40,27 +40,20 @@ def write_report(
     claim = f", and is measured at {top['psnr']:.1f} dB, good to {top['error']:.1f} dB" if m.measured else ""
     far = ", far below the others" if worst.psnr < quality.psnr - UNEVEN_DB else ""
     largest = max(sizes, key=lambda kind: sizes[kind])
+    on_ladder = {f"{r['keyframe']}+{r['delta']}": r["best"] for r in s["rungs"] if m.measured}
     answer = {
         "good": f"The top rung takes {top['bytes_per_frame'] / 1e3:.1f} kB a frame, {top['mean_bps'] / 1e6:.2f} Mbit/s"
         f"{claim}. It shows the frames that were given at {quality.psnr:.1f} dB in "
         f"{words.removesuffix(f' of {a.name}')}.",
         "wrong": f"Frame {worst.frame} is the worst with {worst.psnr:.1f} dB in one picture{far}. Most bytes, "
         f"{100 * sizes[largest] / sum(sizes.values()):.0f} %, are {largest}.",
-        "useless": beaten_words({f"{r['keyframe']}+{r['delta']}": r["best"] for r in s["rungs"] if m.measured})
-        or "Nothing.",
+        "useless": beaten_words(on_ladder) or "Nothing.",
         "change": advice(done) or "Nothing.",
     }
+    chart, name = "What viewers fetch and see; grey: no player should.", f"frame-{worst.frame:06d}.png"
     pictures = [
-        Picture(
-            "",
-            "What viewers fetch and see; grey: no player should.",
-            lambda figure: plot_rungs(s["rungs"], figure.subplots()),
-        ),
-        Picture(
-            f"frame-{worst.frame:06d}.png",
-            "The worst picture.",
-            save=lambda path: write_png(path, side_by_side(a, b, worst)),
-        ),
+        Picture("", chart, lambda figure: plot_rungs(s["rungs"], figure.subplots())),
+        Picture(name, "The worst picture.", save=lambda path: write_png(path, side_by_side(a, b, worst))),
     ]
     stages = {
         "about": ("part of the work", ""), "seconds": ("seconds", ".1f"), "chosen": ("what came of it", ""),

@@ -175,12 +175,10 @@ def describe_left_out(m: Manifest) -> list[str]:
 def format_summary(m: Manifest, manifest_bytes: int) -> str:
     s = summarise(m, manifest_bytes)
     kinds = [f"{kind} {kilobytes(size / m.frames)}" for kind, size in s["top_rung_bytes"].items()]
-    groups = [
-        g
-        | {"group": i, "frames": f"{g['frames'][0]}-{g['frames'][1] - 1}", "base": g["base"] or ""}
-        | {"gaussians": [g["gaussians"]]}
-        for i, g in enumerate(s["groups"])
-    ]
+    groups = []
+    for i, g in enumerate(s["groups"]):
+        shown = {"group": i, "frames": f"{g['frames'][0]}-{g['frames'][1] - 1}", "base": g["base"] or ""}
+        groups.append(g | shown | {"gaussians": [g["gaussians"]]})
     if len(groups) > MOST_GROUPS:
         groups = [*groups[: MOST_GROUPS - 2], dict.fromkeys(GROUP_COLUMNS, "…"), groups[-1]]
     lines = [
@@ -188,9 +186,7 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
         "",
         _table(groups, GROUP_COLUMNS).to_text(),
         "",
-        _table(
-            [one for one in s["keyframes"] if one["gaussians"][1]], KEYFRAME_COLUMNS
-        ).to_text(),  # others have no files
+        _table([one for one in s["keyframes"] if one["gaussians"][1]], KEYFRAME_COLUMNS).to_text(),  # those with files
         "",
         "levels, without keyframes:",
         _table(s["levels"], LEVEL_COLUMNS).to_text(),
@@ -273,14 +269,11 @@ def plot_rungs(rungs: Sequence[Row], axes: Any) -> None:
     """Draw every rung that was measured by its bytes and PSNR: the ladder joined and named, others grey."""
     measured = sorted((r for r in rungs if r["psnr"] is not None), key=lambda r: (r["bytes_per_frame"], r["psnr"]))
     for best, form, colour in ((True, "o-", BLUE), (False, "o", GREY)):
-        some = [
-            (r["bytes_per_frame"] / 1e3, r["psnr"], f"{r['keyframe']}+{r['delta']}")
-            for r in measured
-            if r["best"] == best
-        ]
-        axes.plot([x for x, _, _ in some], [y for _, y, _ in some], form, color=colour, ms=4)
-        for x, y, name in some if best else ():
-            axes.annotate(name, (x, y), (-5, 4), textcoords="offset points", fontsize=8, color=BLUE, ha="right")
+        some = [(r["bytes_per_frame"] / 1e3, r["psnr"]) for r in measured if r["best"] == best]
+        axes.plot([x for x, _ in some], [y for _, y in some], form, color=colour, ms=4)
+    for r in (r for r in measured if r["best"]):
+        name, at = f"{r['keyframe']}+{r['delta']}", (r["bytes_per_frame"] / 1e3, r["psnr"])
+        axes.annotate(name, at, (-5, 4), textcoords="offset points", fontsize=8, color=BLUE, ha="right")
     axes.margins(0.18, 0.1)
     axes.set(xlabel="kB a frame, everything fetched", ylabel="PSNR, dB")
     if not measured:

@@ -187,12 +187,9 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
 
     async def _connect(self) -> aiohttp.ClientSession:
         """Return a session whose bodies come as they are: tables list digests of what is on the server."""
-        return aiohttp.ClientSession(
-            connector=aiohttp.TCPConnector(limit=0),
-            timeout=aiohttp.ClientTimeout(total=None),
-            auto_decompress=False,
-            headers={"Accept-Encoding": "identity"},
-        )
+        connector, timeout = aiohttp.TCPConnector(limit=0), aiohttp.ClientTimeout(total=None)
+        as_it_is = {"Accept-Encoding": "identity"}
+        return aiohttp.ClientSession(connector=connector, timeout=timeout, auto_decompress=False, headers=as_it_is)
 
     async def _fetch(self, request: Request, give_up: GiveUp | None) -> Arrival:
         if (left_s := request.sent_s - self._now_s()) > 0:
@@ -301,11 +298,8 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
         tag = self._tag if path == JSON_NAME else None
         if tag is not None:  # the first, and one after a fault, is as it is listed
             headers = {"Accept-Encoding": "gzip"} | ({"If-None-Match": tag} if tag else {})
-        asking = self._session.get(
-            URL(f"{self._url}/{path}{self._query}", encoded=True),
-            headers=headers,
-            middlewares=(partial(self._stay, path),),
-        )
+        url, stay = URL(f"{self._url}/{path}{self._query}", encoded=True), partial(self._stay, path)
+        asking = self._session.get(url, headers=headers, middlewares=(stay,))
         async with answer.limit, asking as response:
             answer.begin(response)
             if response.status == 304 and tag:
@@ -440,11 +434,8 @@ class RemoteTables:
 
 def _check_growth(before: Root, after: Root) -> None:
     """Raise FormatError(bad_value) unless a root can follow another while groups are added."""
-    same = all(
-        getattr(before, field.name) == getattr(after, field.name)
-        for field in dataclasses.fields(Header)
-        if field.name not in GROWS
-    )
+    fixed = {field.name for field in dataclasses.fields(Header)}.difference(GROWS)
+    same = all(getattr(before, name) == getattr(after, name) for name in fixed)
     was, now = count_groups(before.index), count_groups(after.index)
     extends = now >= was
     for level, (old, new) in enumerate(zip(before.index, after.index, strict=False)):

@@ -59,9 +59,8 @@ def run(offers: Offers, downloader: Downloader, policy: Policy, settings: Sessio
     over the budget, TransportError when the link fails.
     """
     if policy.needs_quality and not offers.manifest.measured:
-        raise ConfigError(
-            f"policy {policy.name}: the package has no measured quality, encode it with measure_pictures above 0"
-        )
+        words = "the package has no measured quality, encode it with measure_pictures above 0"
+        raise ConfigError(f"policy {policy.name}: {words}")
     return Player(offers, downloader, policy, settings or SessionSettings()).play()
 
 
@@ -135,9 +134,7 @@ class Player:
     first: Download = NOTHING  # the fastest of tables and poster, the wait for its first byte included
     unusable: set[str] = field(default_factory=set)  # files found missing or corrupt
     given_up: tuple[int, int] = (-1, 0)  # position and size: nothing as large is asked for at that position again
-    _keyframes: dict[int, set[Keyframe]] = field(
-        default_factory=dict
-    )  # decoded, by loop: what is played again is fetched again
+    _keyframes: dict[int, set[Keyframe]] = field(default_factory=dict)  # decoded, by loop: each fetches its own
 
     def __post_init__(self) -> None:
         self.playout, self.tables = Playout(self.settings), TableStore(self.offers)

@@ -47,6 +47,7 @@ class Download:
     seconds: float  # from the first byte to the last
 
 
+Floats = NDArray[np.float64]
 Coming = tuple[SegmentOffer, Keyframes]  # a segment from this one on, and the keyframes decoded for it
 
 
@@ -226,7 +227,7 @@ def choose_robust_mpc(state: PlayerState) -> Decision:
         return select(full_ladder(state), 0.0)
     limit_s = state.buffer_limit_s
 
-    def download_s(sizes: NDArray[np.int64]) -> NDArray[np.float64]:
+    def download_s(sizes: NDArray[np.int64]) -> Floats:
         return np.asarray(state.request_latency_s * (sizes > 0) + 8 * sizes / rate)  # 0 bytes are not requested
 
     segments: list[Coming] = []
@@ -256,12 +257,8 @@ def choose_robust_mpc(state: PlayerState) -> Decision:
 
 
 def _value_before(
-    before: SegmentOffer,
-    offer: SegmentOffer,
-    download_s: NDArray[np.float64],
-    limit_s: float,
-    value: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    before: SegmentOffer, offer: SegmentOffer, download_s: Floats, limit_s: float, value: Floats
+) -> Floats:
     """Return (R, B) the best total from a segment on, by the rung of the previous one and the buffer.
 
     download_s (P, R), the limit of the buffer, value (R, B) of what follows.
@@ -322,18 +319,16 @@ def upcoming_horizon(state: PlayerState, link: Link) -> tuple[list[Slot], float]
 Choose = Callable[[PlayerState], Decision]
 
 DEFAULT_POLICY = "robust-mpc"
-ADAPTIVE = {
-    policy.name: policy
-    for policy in (
-        Policy("paper", choose_paper),
-        Policy("paper-no-cliff", choose_paper_no_cliff),
-        Policy("paper-literal", choose_paper_literal),
-        Policy("paper-literal-no-cliff", partial(choose_paper_literal, beta=math.inf)),
-        Policy("throughput", choose_throughput),
-        Policy("bola", choose_bola),
-        Policy("robust-mpc", choose_robust_mpc, horizon=HORIZON_SEGMENTS),
-    )
+RULES: dict[str, Choose] = {
+    "paper": choose_paper,
+    "paper-no-cliff": choose_paper_no_cliff,
+    "paper-literal": choose_paper_literal,
+    "paper-literal-no-cliff": partial(choose_paper_literal, beta=math.inf),
+    "throughput": choose_throughput,
+    "bola": choose_bola,
 }
+ADAPTIVE = {name: Policy(name, rule) for name, rule in RULES.items()}
+ADAPTIVE["robust-mpc"] = Policy("robust-mpc", choose_robust_mpc, horizon=HORIZON_SEGMENTS)
 ORACLES = {"oracle-frame": choose_oracle_frame, "oracle-lp": choose_oracle_lp}
 POLICY_NAMES = (*ADAPTIVE, *ORACLES)
 

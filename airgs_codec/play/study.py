@@ -126,17 +126,18 @@ def _one_trace(task: tuple[str | Path, str, StudySettings]) -> list[Row]:
             feasible = is_feasible(c, link, rules, c.loops(rules.loops))
         except TransportError:  # the trace is over first
             feasible = False
-        start = {"trace": trace.name, "offset_s": offset, "scale": settings.scale, "mean_bps": trace.mean_bps}
-        start |= {"rtt_s": link.rtt_s}
+        about = {"offset_s": offset, "scale": settings.scale, "mean_bps": trace.mean_bps, "rtt_s": link.rtt_s}
         for policy in settings.policies:
             log = simulate(c, link, policy, rules)
             bound, frames = session_bound(log), log.metrics.frames
-            rows.append(
-                start
-                | {"policy": policy, "feasible": feasible, **log.metrics.as_dict(), "bound": bound}
-                | {"regret": None if bound is None else bound - log.mean_quality}
-                | {f"{kind}_kb_frame": log.bytes_by_kind.get(kind, 0) / frames / 1e3 for kind in FileKind}
-            )
+            row = {"trace": trace.name, **about} | {
+                "policy": policy,
+                "feasible": feasible,
+                **log.metrics.as_dict(),
+                "bound": bound,
+            }
+            row["regret"] = None if bound is None else bound - log.mean_quality
+            rows.append(row | {f"{k}_kb_frame": log.bytes_by_kind.get(k, 0) / frames / 1e3 for k in FileKind})
     return rows
 
 
@@ -224,9 +225,7 @@ def study_answer(study: Study) -> dict[str, str]:
         return found, "" if len(set(traces)) >= SURE_TRACES and found.low > 0 else ", which may be chance"
 
     waits, psnr = 100 * study.of(best, "stall_ratio").mean(), study.of(best, "psnr_mean")
-    shows = (
-        f"it shows {interval(psnr, traces).mean:.1f} dB and" if measured else "what it shows was not measured, and it"
-    )
+    shows = f"it shows {interval(psnr, traces).mean:.1f} dB and" if measured else "its pictures were not measured, it"
     good = [f"{best} does best on {len(traces)} links: {shows} waits {waits:.1f} % of the time."]
     if others:
         found, chance = lead(others[0])
@@ -242,6 +241,6 @@ def study_answer(study: Study) -> dict[str, str]:
     if len(hard := 100 * study.of(best, "stall_ratio", False)):
         wrong = (
             f"On {len(hard)} of {len(traces)} links even the smallest rungs stall, begun after {FEASIBLE_START_S:g} s, "
-            f"and {best} waits {hard.mean():.1f} % of the time: encode a lower level (airgs-encode --levels)."
         )
+        wrong += f"and {best} waits {hard.mean():.1f} % of the time: encode a lower level (airgs-encode --levels)."
     return {"good": " ".join(good), "wrong": wrong, "change": change}
