@@ -157,13 +157,12 @@ class RowPruning:
     def error_of(self, written: int) -> float:
         """Return the pooled error of pictures of only the `written` most important rows."""
         left_out = len(self._order) - written
-        return self._errors[left_out] if left_out in self._errors else self._error(left_out)
-
-    def _error(self, count: int) -> float:
-        written = np.ones(len(self._order), bool)
-        written[self._order[:count]] = False
-        self._last = count, self._draw(written)
-        return self._errors.setdefault(count, self._error_in(self._last[1]))
+        if left_out not in self._errors:
+            mask = np.ones(len(self._order), bool)
+            mask[self._order[:left_out]] = False
+            self._last = left_out, self._draw(mask)
+            self._errors[left_out] = self._error_in(self._last[1])
+        return self._errors[left_out]
 
     def _error_in(self, pictures: Sequence[NDArray[np.float32]]) -> float:
         return pooled_error([mse(shown, full) for shown, (_, full) in zip(pictures, self._seen, strict=True)])

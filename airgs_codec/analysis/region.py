@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,15 +104,10 @@ def region_around(
         ends = _rounded(position, distance), _rounded(position + distance * rotation[2], distance)
         reach = float(f"{min(margin, 0.5 * clearance):.7g}")
         places.append(Place(*ends, _rounded(-rotation[1], 1.0), reach))
-    return Region(
-        source=source,
-        width=first.width,
-        height=first.height,
-        fov_y=float(np.degrees(2 * np.arctan(first.height / 2 / first.fy))),
-        near=min(cameras[i].near for i in chosen),
-        turn=5.0 if margin > 0 else 0.0,
-        places=_middle_first(places) if source == "cameras" else places,
-    )
+    size: dict[str, Any] = {"width": first.width, "height": first.height, "turn": 5.0 if margin > 0 else 0.0}
+    fov_y, near = float(np.degrees(2 * np.arctan(first.height / 2 / first.fy))), min(cameras[i].near for i in chosen)
+    places = _middle_first(places) if source == "cameras" else places
+    return Region(source=source, **size, fov_y=fov_y, near=near, places=places)
 
 
 def _middle_first(places: list[Place]) -> list[Place]:

@@ -99,14 +99,11 @@ def restore_rows(
     orders = {frame: order for run in done for frame, order in run.orders().items()}
     sure = {frame: share for run in done for frame, share in run.sure.items()}
     restored = replace(sequence, orders=orders, breaks=(*sequence.breaks, *breaks)) if orders or breaks else sequence
-    return Restored(
-        restored,
-        tuple(sure),
-        float(np.mean(list(sure.values()))) if sure else 1.0,
-        float(np.mean([(order == NONE).mean() for order in orders.values()])) if orders else 0.0,
-        tuple(frame for frame in breaks if frame not in changes),
-        tuple(frame for frame in _alone(sequence) if frame in asked and frame not in orders),
-    )
+    share = float(np.mean(list(sure.values()))) if sure else 1.0
+    missing = float(np.mean([(order == NONE).mean() for order in orders.values()])) if orders else 0.0
+    unmatched = tuple(frame for frame in breaks if frame not in changes)
+    alone = tuple(frame for frame in _alone(sequence) if frame in asked and frame not in orders)
+    return Restored(restored, tuple(sure), share, missing, unmatched, alone)
 
 
 class _Run:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 from cyclopts.validators import Number
@@ -34,7 +34,6 @@ EVERY_HELP, VIEWS_HELP = "only every N-th of the frames", f"cameras to compare f
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class Compare:
     a: str = required(f"the reference: a scene, or {PACKAGE}")
     b: str = required("what is compared with it, either as well")
@@ -83,7 +82,6 @@ def _open_both(options: Compare) -> tuple[pictures.Side, pictures.Side]:
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class Rungs:
     package: str = required(PACKAGE)
     original: str = required("the sequence that it was made of")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -26,7 +25,6 @@ ROWS_NAME = "rows.npz"  # an array for each frame, named by its number
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class Decode:
     package: str = required(PACKAGE)
     output: str = required("folder for 000000.ply and on, or a file that ends in a format", alias="-o", metavar="PLACE")

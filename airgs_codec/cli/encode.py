@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -65,7 +65,6 @@ BY_PRESET = {"default": replace, "quick": as_preview, "paper": as_in_paper}
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class Encode:
     scene: str = required(
         "frames (a folder or a file: .ply, compressed .ply, .spz, SOG, .splat, glTF), a clip (.splatv, .4dgs, "
@@ -97,7 +96,10 @@ class Encode:
 
 def encode(options: Encode) -> int:
     """Encode Gaussian frames as H.264 pictures and a DASH manifest; multi-view video is trained first."""
-    settings, plan = _settings(options), _plan(options)
+    settings, plan = _settings(options), None
+    if isinstance(options.plan, str):
+        expect_plain(Path(options.plan))
+        plan = Plan.from_json(Path(options.plan).read_bytes(), options.plan)
     _goal(options, 1)  # refuses impossible goals before any work
     expect_report(options.report)
     place = options.scene.rstrip("/") if is_address(options.scene) else Path(options.scene).resolve()
@@ -116,10 +118,8 @@ def encode(options: Encode) -> int:
     track, words = will_track(sequence, wanted, settings.rows)
     if words:
         warn(words)
-    with ExitStack() as stack:
-        bar = stack.enter_context(Bar(options.json))
-        work = stack.enter_context(options.workers.opened(bar))
-        stored = options.workers.work
+    stored = options.workers.work
+    with Bar(options.json) as bar, options.workers.opened(bar) as work, ExitStack() as stack:
         if track:
             models = Path(stored) if stored and not is_address(stored) else None
             sequence = stack.enter_context(tracked(sequence, open_renderer(options.device), work, models))
@@ -157,13 +157,6 @@ def _world(options: Encode) -> World | None:
     if unit is not None and not up:
         raise ConfigError("--unit: expected --up with it")
     return read_world(options.transform) if options.transform else world_from(up, unit) if up else None
-
-
-def _plan(options: Encode) -> Plan | None:
-    if not isinstance(options.plan, str):
-        return None
-    expect_plain(Path(options.plan))
-    return Plan.from_json(Path(options.plan).read_bytes(), options.plan)
 
 
 def _open(options: Encode) -> GaussianSequence:
@@ -262,15 +255,15 @@ def _group_line(done: PublishedGroup, as_json: bool) -> str:
 
 def _as_json(report: EncodeReport, target: str) -> dict[str, object]:
     m, rows = report.manifest, report.rows
-    return {
+    figures: dict[str, object] = {
         "package": target,
         "frames": m.frames,
         "bytes": m.media_bytes() + report.manifest_bytes,
-        "top_rung_bytes": m.bytes_of(m.rung_files(0, 0)) + report.manifest_bytes,
-        "seconds": {stage.about: round(stage.seconds, 3) for stage in report.stages()},
-        "rows": {"matched": rows.matched, "sure": rows.sure, "unmatched": rows.unmatched, "alone": rows.alone},
-        "repairs": [repair for group in m.groups for repair in group.repairs],
     }
+    figures["top_rung_bytes"] = m.bytes_of(m.rung_files(0, 0)) + report.manifest_bytes
+    figures["seconds"] = {stage.about: round(stage.seconds, 3) for stage in report.stages()}
+    figures["rows"] = {name: getattr(rows, name) for name in ("matched", "sure", "unmatched", "alone")}
+    return figures | {"repairs": [repair for group in m.groups for repair in group.repairs]}
 
 
 def _as_words(report: EncodeReport, target: str) -> str:

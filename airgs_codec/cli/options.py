@@ -7,14 +7,15 @@ in. `--help` lists the everyday options, `--help-all` all of them, by topic.
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import MISSING, Field, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict, TypeVar, dataclass_transform, get_type_hints
 
 from cyclopts import App, CycloptsError, Group, Parameter
 from cyclopts.validators import Number
@@ -41,7 +42,6 @@ Options = TypeVar("Options")
 ALL = "--help-all"
 ARGUMENTS = Group("Arguments", sort_key=0)
 COMMON = Group("Options", sort_key=1)
-UNIT_ENDINGS = ("_s", "_db")  # endings of names
 PARAMETER = ("alias", "allow_leading_hyphen", "choices", "help", "metavar", "name", "validator")  # of cyclopts
 
 PACKAGE = "a package: its folder, or its address, s3://, gs:// or az://"
@@ -92,8 +92,10 @@ def given(settings: type, topic: str, everyday: Collection[str] = (), name: str 
     return field(default_factory=dict, metadata={"settings": (settings, topic, everyday), "name": name})
 
 
+@dataclass_transform(kw_only_default=True, frozen_default=True)
 def as_options(kind: type[Options]) -> type[Options]:
-    """Return the dataclass `kind` with annotations that make its fields the parameters of a command."""
+    """Return `kind` as a dataclass, if it is none, with annotations that make its fields parameters of a command."""
+    kind = kind if is_dataclass(kind) else dataclass(frozen=True, kw_only=True)(kind)
     hints = get_type_hints(kind, include_extras=True)
     for one in fields(kind):  # type: ignore[arg-type]
         if "settings" in one.metadata:
@@ -127,8 +129,7 @@ def _option(one: Field[Any], hint: Any, topic: str | None) -> Any:
 
 def option_name(name: str) -> str:
     """Return the name of a field's option, as --player.buffer has it last: dashes, no unit."""
-    unit = next((unit for unit in UNIT_ENDINGS if name.endswith(unit)), "")
-    return name.removesuffix(unit).replace("_", "-")
+    return re.sub("_(s|db)$", "", name).replace("_", "-")
 
 
 def make_app(name: str, command: Callable[..., int] | None = None, about: str | None = None) -> App:
@@ -207,7 +208,6 @@ def parse_range(text: str, frames: int) -> tuple[int, int]:
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class BakingOptions:
     """How `open_sequence` reads a clip; None: as the file says, or else the default of its format."""
 
@@ -216,7 +216,6 @@ class BakingOptions:
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class WorkOptions:
     """Who does the work (docs/farm.md): processes of this machine, or a Dask cluster."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -44,7 +44,6 @@ TRACES = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBP
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class Play:
     package: str = required(f"{PACKAGE}, or where a web server has it")
     trace: str | None = setting(None, f"rates of the link: {TRACES}")

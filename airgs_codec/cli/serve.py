@@ -6,7 +6,6 @@ import asyncio
 import resource
 import signal
 import socket
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from urllib.parse import quote
@@ -24,7 +23,6 @@ ANY_HOST = ("0.0.0.0", "::")
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class Serve:
     packages: tuple[Path, ...] = required(SERVED)
     host: str = setting("127.0.0.1", "address to listen at; 0.0.0.0: all")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, field, replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -52,7 +52,6 @@ PAGE_SHARE = 10  # times as long as it takes to write a page is trained before t
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class Train:
     scene: Path = required(
         "folder with transforms.json, train_meta.json (Panoptic), image_white_undistortion/ (HiFi4G), COLMAP's sparse/ "
@@ -201,17 +200,14 @@ def summary(model: ModelFolder) -> dict[str, Any]:
 
     frames = model.record.frames
     held_out = [f.held_out_psnr for f in frames if f.held_out_psnr is not None]
-    return {
+    s: dict[str, Any] = {
         "model": str(model.folder),
         "frames": [asdict(f) for f in frames],
         "keyframes": model.record.keyframes(),
-        "psnr_definition": PSNR_DEFINITION,
-        "psnr": fmean(f.psnr for f in frames),
-        "held_out_psnr": fmean(held_out) if held_out else None,
-        "held_out_worst": min(held_out, default=None),
-        "seconds": sum(f.seconds for f in frames),
-        "warnings": model.record.warnings(),
     }
+    s |= {"psnr_definition": PSNR_DEFINITION, "psnr": fmean(f.psnr for f in frames)}
+    s |= {"held_out_psnr": fmean(held_out) if held_out else None, "held_out_worst": min(held_out, default=None)}
+    return s | {"seconds": sum(f.seconds for f in frames), "warnings": model.record.warnings()}
 
 
 def _as_words(model: ModelFolder, report: Path | None) -> str:

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -119,37 +120,19 @@ def open_side(
         package, m = scene, scene.manifest
         keyframe_quality, _, level = (rung or "Q0+L0").partition("+")
         q, j = m.quality_index(keyframe_quality), m.level_index(level)
-        return Side(
-            name=name,
-            rung=f"{m.qualities[q].id}+{m.levels[j].id}",
-            frames=m.frames,
-            fps=m.fps,
-            sh_degree=m.sh_degree,
-            bytes_per_frame=(package.manifest_bytes + m.bytes_of(m.rung_files(q, j))) / m.frames,
-            origin=package.origin,
-            background=background_of(m.region),
-            read=lambda frames: rung_frames(package, frames, m.levels[j].id, m.qualities[q].id),
-            region=m.region,
-            claimed=quality_of(m, j, q),
-        )
+        rung, size = f"{m.qualities[q].id}+{m.levels[j].id}", package.manifest_bytes + m.bytes_of(m.rung_files(q, j))
+        read = partial(rung_frames, package, level=m.levels[j].id, keyframe_quality=m.qualities[q].id)
+        stats, placed = (m.frames, m.fps, m.sh_degree, size / m.frames), (package.origin, background_of(m.region))
+        return Side(name, rung, *stats, *placed, read, region=m.region, claimed=quality_of(m, j, q))
     scene = argument(name, scene, GaussianSequence, "an open sequence or package, or the path of one")
     if rung is not None:
         raise ConfigError(f"{name}: expected a package for the rung {rung}, got a scene")
     stated = scene.clip or (scene.folder / SETTINGS_NAME).is_file() or scene.fps != DEFAULT_FPS
     held = [header.bytes for header in scene.headers]  # of frames that are in no file
-    return Side(
-        name=name,
-        rung=None,
-        frames=len(scene),
-        fps=scene.fps if stated else None,
-        sh_degree=scene.sh_degree,
-        bytes_per_frame=sum(map(_size, set(scene.paths)) if scene.paths[0].exists() else held) / len(scene),
-        origin=scene.origin,
-        background=scene.background,
-        read=lambda frames: frames_of(scene, frames),
-        cameras=scene.cameras,
-        axes=scene.axes,
-    )
+    total: float = sum(map(_size, set(scene.paths)) if scene.paths[0].exists() else held)
+    rates = scene.fps if stated else None, scene.sh_degree, total / len(scene)
+    behind, read = (scene.origin, scene.background), partial(frames_of, scene)
+    return Side(name, None, len(scene), *rates, *behind, read, scene.cameras, scene.axes)
 
 
 def _size(path: Path) -> int:
@@ -353,16 +336,11 @@ def comparison_json(a: Side, b: Side, result: Comparison) -> dict[str, Any]:
         | {"claimed": side.claimed and dataclasses.asdict(side.claimed)}
         for side, rows in zip((a, b), result.gaussians, strict=True)
     )
-    return {
-        "reference": reference,
-        "compared": compared,
-        "frames": list(result.frames),
-        "cameras": list(result.cameras),
-        "blank": result.blank,
-        "quality": dataclasses.asdict(result.quality),
-        "worst": {"frame": worst.frame, "camera": worst.camera.name, "psnr": worst.psnr}
-        | {"position": worst.camera.position.tolist()},
-    }
+    shown: Row = {"frame": worst.frame, "camera": worst.camera.name, "psnr": worst.psnr}
+    shown["position"] = worst.camera.position.tolist()
+    record: Row = {"reference": reference, "compared": compared, "frames": list(result.frames)}
+    record |= {"cameras": list(result.cameras), "blank": result.blank}
+    return record | {"quality": dataclasses.asdict(result.quality), "worst": shown}
 
 
 def format_two(record: Mapping[str, Any], views: str, notes: Iterable[str] = ()) -> str:

@@ -68,32 +68,21 @@ def summarise(m: Manifest, manifest_bytes: int) -> Row:
     players choose it (`on_ladder`).
     """
     sound = sum(group.sound.bytes for group in m.groups if group.sound)
-    return {
-        "frames": m.frames,
-        "fps": float(m.fps),
-        "duration_s": float(m.frames / m.fps),
-        "sh_degree": m.sh_degree,
-        "package_bytes": manifest_bytes + m.media_bytes(),
-        "region": region_figures(m.region),
-        "world": m.world and dataclasses.asdict(m.world),
-        "origin": list(m.origin or ()),
-        "background": list(m.region.background or ()),
-        "views": dataclasses.asdict(m.views),
-        "groups": [
-            {"frames": [g.start, g.stop], "gaussians": g.count, "static": g.static, "unused": g.unused}
-            | {"segments": len(g.segments), "base": g.base}
-            for g in m.groups
-        ],
-        "keyframes": [_keyframe(m, t, q) for t in range(m.tiers) for q in range(len(m.qualities))],
-        "levels": [_level(m, j) for j in range(len(m.levels))],
-        "rungs": rung_rows(m, manifest_bytes),
-        "sound": m.sound and {"form": LAYOUTS[m.sound.channels], "mean_bps": _rate(m, sound)},
-        "top_rung_bytes": bytes_by_kind(m, manifest_bytes),
-        "left_out": describe_left_out(m),
-        "repairs": [line for group in m.groups for line in group.repairs],
-        "decisions": list(m.decisions),
-        "attribution": m.attribution,
-    }
+    s: Row = {"frames": m.frames, "fps": float(m.fps), "duration_s": float(m.frames / m.fps), "sh_degree": m.sh_degree}
+    s |= {"package_bytes": manifest_bytes + m.media_bytes(), "region": region_figures(m.region)}
+    s |= {"world": m.world and dataclasses.asdict(m.world), "origin": list(m.origin or ())}
+    s |= {"background": list(m.region.background or ()), "views": dataclasses.asdict(m.views)}
+    s["groups"] = [
+        {"frames": [g.start, g.stop], "gaussians": g.count, "static": g.static, "unused": g.unused}
+        | {"segments": len(g.segments), "base": g.base}
+        for g in m.groups
+    ]
+    s["keyframes"] = [_keyframe(m, t, q) for t in range(m.tiers) for q in range(len(m.qualities))]
+    s |= {"levels": [_level(m, j) for j in range(len(m.levels))], "rungs": rung_rows(m, manifest_bytes)}
+    s["sound"] = m.sound and {"form": LAYOUTS[m.sound.channels], "mean_bps": _rate(m, sound)}
+    s |= {"top_rung_bytes": bytes_by_kind(m, manifest_bytes), "left_out": describe_left_out(m)}
+    s["repairs"] = [line for group in m.groups for line in group.repairs]
+    return s | {"decisions": list(m.decisions), "attribution": m.attribution}
 
 
 def _rate(m: Manifest, size: float) -> float:

@@ -74,12 +74,9 @@ def solve_horizon(
     columns, values = zip(*itertools.chain.from_iterable(terms), strict=True)
     ends = np.cumsum([0, *map(len, terms)])
     matrix = csr_array((values, columns, ends), shape=(len(terms), costs.size))
-    result = milp(
-        costs.ravel(),
-        constraints=LinearConstraint(matrix, np.array(low), np.array(high)),
-        bounds=Bounds(0.0, upper.ravel()),
-        integrality=np.tile(np.r_[np.ones(width - 1, np.int64), 0], len(slots)) * int(integer),
-    )
+    limits, bounds = LinearConstraint(matrix, np.array(low), np.array(high)), Bounds(0.0, upper.ravel())
+    whole = np.tile(np.r_[np.ones(width - 1, np.int64), 0], len(slots)) * int(integer)
+    result = milp(costs.ravel(), constraints=limits, bounds=bounds, integrality=whole)
     if result.x is None:
         return None
     first = sum(size * result.x[column] for column, size in programme.fetched(0))

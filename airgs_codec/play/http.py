@@ -207,17 +207,10 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
         self._rtt_s = min(self._rtt_s, transfer.wait_s)
-        now_s = self._now_s()
-        return Arrival(
-            request=request,
-            first_byte_s=now_s if transfer.first_byte_at is None else self._at_s(transfer.first_byte_at),
-            at_s=now_s,
-            bytes=max(1, transfer.bytes),
-            whole=tuple(path for path in files if path in transfer.whole),
-            refused=transfer.refused,
-            abandoned=abandoned,
-            retries=tuple(transfer.retries),
-        )
+        now_s, size, retries = self._now_s(), max(1, transfer.bytes), tuple(transfer.retries)
+        first_s = now_s if transfer.first_byte_at is None else self._at_s(transfer.first_byte_at)
+        whole = tuple(path for path in files if path in transfer.whole)
+        return Arrival(request, first_s, now_s, size, whole, transfer.refused, abandoned, retries)
 
     async def _watch(
         self, tasks: list[asyncio.Task[None]], transfer: Transfer, expected: int, give_up: GiveUp | None
@@ -381,9 +374,20 @@ class RemoteTables:
             return
         if self.offers is None:
             raise FormatError("missing_entry", path, f"{JSON_NAME} has not come yet")
-        entry = self.offers.manifest.entry(path)
+        m = self.offers.manifest
+        entry, (what, numbers) = m.entry(path), locate(path)
         check_file(path, data, entry)
-        self._read_table(self.offers, path, entry, data)
+        if what not in ("group", "page"):
+            return
+        self._files[path] = entry, data
+        try:
+            if what == "group":
+                self._check_base(m, numbers[0] - 1)
+            else:
+                m.groups.places.check_page(numbers[0], numbers[1] - 1)
+        except FormatError:
+            del self._files[path]
+            raise
 
     def _accept_root(self, data: bytes) -> None:
         if data == self.root_bytes:
@@ -397,20 +401,6 @@ class RemoteTables:
         else:
             self.offers.grow(manifest, len(data))
         self._root, self.root_bytes = root, data
-
-    def _read_table(self, c: Offers, path: str, entry: FileEntry, data: bytes) -> None:
-        what, numbers = locate(path)
-        if what not in ("group", "page"):
-            return
-        self._files[path] = entry, data
-        try:
-            if what == "group":
-                self._check_base(c.manifest, numbers[0] - 1)
-            else:
-                c.manifest.groups.places.check_page(numbers[0], numbers[1] - 1)
-        except FormatError:
-            del self._files[path]
-            raise
 
     def _find(self, path: str, entry: FileEntry) -> bytes:
         """Return a fetched table. Raises FormatError if it has not come, or if the root now lists another."""
