@@ -67,14 +67,15 @@ class WrittenRows:
         return WrittenRows(np.arange(count), 0.0)
 
 
-Still = tuple[Gaussians, Camera]
-
-
 class RowPruning:
     """Leaves out the least important rows of some frames."""
 
     def __init__(
-        self, pictures: Iterable[Still], rank: Values, errors: dict[int, float], renderer: Renderer = CPU
+        self,
+        pictures: Iterable[tuple[Gaussians, Camera]],
+        rank: Values,
+        errors: dict[int, float],
+        renderer: Renderer = CPU,
     ) -> None:
         """`rank` is the (N,) `importance` of the rows; `errors` holds what has been rendered: rows left out -> error.
 

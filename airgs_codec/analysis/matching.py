@@ -48,8 +48,8 @@ def spacing_of(means: NDArray[np.float32]) -> float:
     return float(np.median(distances[distances > 0])) if distances.any() else 1.0
 
 
-def compare_order(a: Gaussians, b: Gaussians) -> tuple[str, float]:
-    """Return whether rows of two frames of one length are IN_ORDER, LOST or UNRELATED, and the share of sure rows.
+def compare_order(a: Gaussians, b: Gaussians) -> str:
+    """Return whether rows of two frames of one length are IN_ORDER, LOST or UNRELATED.
 
     They are in order where nearly every row differs far less from row n of the other frame than from others; lost where
     many surely are another row of it; unrelated where most differ as much as any two rows do.
@@ -58,14 +58,13 @@ def compare_order(a: Gaussians, b: Gaussians) -> tuple[str, float]:
     own, others = (np.linalg.norm(second - rows, axis=1) for rows in (first, first[_unrelated(len(a))]))
     # Of fewer than eight rows medians say nothing; tracked rows stay below a tenth of the distance of unrelated ones.
     if len(a) < 8 or np.percentile(own, 95) < 0.1 * np.median(others):
-        return IN_ORDER, 1.0
+        return IN_ORDER
     spacing, some = spacing_of(a.means), _some(len(a))
     wanted, offered = fingerprints(a, spacing), fingerprints(b, spacing)
     rows, _, sure = _nearest_two(wanted[some], offered)
-    share = float(sure.mean())
-    if share >= LEAST_SURE and (sure & (rows != some)).mean() >= 0.05:
-        return LOST, share
-    return (IN_ORDER if _correspond(wanted, offered) else UNRELATED), share
+    if sure.mean() >= LEAST_SURE and (sure & (rows != some)).mean() >= 0.05:
+        return LOST
+    return IN_ORDER if _correspond(wanted, offered) else UNRELATED
 
 
 def match_rows(expected: Gaussians, frame: Gaussians) -> tuple[NDArray[np.int32], float]:

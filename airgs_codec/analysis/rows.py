@@ -122,7 +122,7 @@ class _Run:
         """Take the next frame; False where it is unrelated to those before, and not of the run."""
         state, ids = LOST, self._ids[-1]
         if not self._matches_all and len(frame) == len(self._file):
-            state, _ = compare_order(self._file, frame)
+            state = compare_order(self._file, frame)
         if state != IN_ORDER:
             found = self._match(frame) if state == LOST else None
             if found is None:

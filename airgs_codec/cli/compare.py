@@ -8,6 +8,7 @@ from pathlib import Path
 
 from cyclopts.validators import Number
 
+from airgs_codec._report import Table
 from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import (
     FORMS,
@@ -112,5 +113,5 @@ def rungs(options: Rungs) -> int:
         say(json.dumps({"frames": list(numbers), "views": len(cameras), "rungs": rows}))
     else:
         say(f"{len(numbers)} frames in {len(cameras)} views; PSNR of the error pooled over pictures")
-        say(pictures.format_rungs(rows))
+        say(Table("", rows, pictures.RUNG_COLUMNS).to_text())
     return 0

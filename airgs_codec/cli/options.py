@@ -60,11 +60,6 @@ def read_fraction(text: str) -> Fraction:
         raise ConfigError(f"expected a number or a fraction, got {text!r}") from error
 
 
-def read_rate(text: str) -> Fraction:
-    """Return frames a second. Raises ConfigError, SceneError for a number that is no rate."""
-    return frame_rate("frames a second", read_fraction(text))
-
-
 def read_three(kind: type, words: str) -> Callable[[str], tuple[Any, ...]]:
     """Return what reads three numbers of a kind, with commas; it raises ConfigError, with `words`, for other text."""
 
@@ -78,7 +73,7 @@ def read_three(kind: type, words: str) -> Callable[[str], tuple[Any, ...]]:
     return read
 
 
-FPS: Given = {"read": read_rate, "metavar": "FPS"}  # of options that are one
+FPS: Given = {"read": lambda text: frame_rate("frames a second", read_fraction(text)), "metavar": "FPS"}
 CLIP_FPS, CLIP_SECONDS = FPS | {"topic": "clips"}, {"read": read_fraction, "metavar": "S", "topic": "clips"}
 DEVICE: Given = {"choices": ("auto", "cpu", "cuda")}
 AXIS: Given = {"read": parse_up, "metavar": "AXIS", "allow_leading_hyphen": True}
@@ -134,21 +129,15 @@ def option_name(name: str) -> str:
 
 def make_app(name: str, command: Callable[..., int] | None = None, about: str | None = None) -> App:
     """Return the program `name`, which does `command`; without one its commands are added to it."""
-    app = App(
-        name=name,
-        help=about,
-        version=__version__,
-        help_flags="--help",
-        help_format="plaintext",
-        result_action="return_value",
-        print_error=False,
-        exit_on_error=False,
-        group_arguments=ARGUMENTS,
-        group_commands=Group("Commands", sort_key=0, show=command is None),
-        default_parameter=Parameter(consume_multiple=True, name_transform=option_name),
-        help_epilogue=f"{ALL} lists every option, --version says which version this is.",
-        suppress_keyboard_interrupt=False,
-    )
+    how: Given = {"print_error": False, "exit_on_error": False, "suppress_keyboard_interrupt": False}
+    how |= {"result_action": "return_value", "help_flags": "--help", "help_format": "plaintext"}
+    how["default_parameter"] = Parameter(consume_multiple=True, name_transform=option_name)
+    how["help_epilogue"] = f"{ALL} lists every option, --version says which version this is."
+    groups: Given = {
+        "group_arguments": ARGUMENTS,
+        "group_commands": Group("Commands", sort_key=0, show=command is None),
+    }
+    app = App(name=name, help=about, version=__version__, **groups, **how)
     if command is not None:
         app.default(command)
     return app

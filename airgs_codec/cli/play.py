@@ -38,8 +38,7 @@ from airgs_codec.play.study import StudySettings, format_study, run_study, study
 from airgs_codec.play.trace import DEFAULT_RTT_S, TRACE_ENDS, Link, Trace
 from airgs_codec.render.backend import open_renderer
 
-PAPER = ("paper", "paper-no-cliff", "paper-literal", "paper-literal-no-cliff")
-COMPARED = ("robust-mpc", *PAPER, "throughput", "bola", "oracle-frame")
+COMPARED = (DEFAULT_POLICY, *(name for name in POLICY_NAMES if name not in (DEFAULT_POLICY, "oracle-lp")))
 TRACES = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBPS or markov:SEED[:MBPS]"
 
 

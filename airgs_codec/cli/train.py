@@ -46,6 +46,9 @@ EFFORTS = {"quick": 0.4, "normal": 1.0, "high": 2.5}
 EFFORT_WORDS = ", ".join(f"{factor:g} ({name})" for name, factor in EFFORTS.items())
 COUNTS, SYNC = "FIRST,KEY,FRAME", "auto|off|FILE"
 SCENE: Given = {"topic": "scene"}
+ITERATIONS_HELP = f"of a first frame, by default at least {FIRST_A_VIEW} a view, a keyframe and any other frame"
+USUAL_ITERATIONS = f"{FIRST},{DEFAULTS.keyframe_iterations},{DEFAULTS.frame_iterations}"
+ITERATIONS: Given = {"default": USUAL_ITERATIONS, "metavar": COUNTS, "read": read_three(int, COUNTS)}
 EVERYDAY = ("max_size", "background", "budget", "max_drop_db", "group_frames")
 NOTED_DB = 0.2  # that held-out views gain by matching their exposure, from which a frame says so
 PAGE_SHARE = 10  # times as long as it takes to write a page is trained before the next one
@@ -62,15 +65,11 @@ class Train:
     preset: str = setting(TRAIN_PRESETS[0], "paper: the AirGS paper's method and constants", choices=TRAIN_PRESETS)
     frames: str = setting(":", FRAMES_HELP, metavar="A:B", default="all")
     fps: Fraction | None = setting(None, "frames a second", default="what the scene says, else 30", **FPS)
-    hold_out: str | None = setting(None, "test cameras, or none", metavar="NAMES", default="the scene's, or an eighth")
-    effort: str = setting("normal", f"iterations of every frame, times {EFFORT_WORDS}", choices=tuple(EFFORTS))
-    iterations: tuple[int, ...] | None = setting(
-        None,
-        f"iterations of a first frame, by default at least {FIRST_A_VIEW} a view, a keyframe and any other frame",
-        default=f"{FIRST},{DEFAULTS.keyframe_iterations},{DEFAULTS.frame_iterations}",
-        metavar=COUNTS,
-        read=read_three(int, COUNTS),
+    hold_out: str | None = setting(
+        None, "test cameras with commas, or none", metavar="NAMES", default="the scene's, or 1/8"
     )
+    effort: str = setting("normal", f"iterations of every frame, times {EFFORT_WORDS}", choices=tuple(EFFORTS))
+    iterations: tuple[int, ...] | None = setting(None, ITERATIONS_HELP, **ITERATIONS)
     settings: Given = given(TrainSettings, "method", EVERYDAY)
     near: float | None = setting(None, "hide what is nearer, in world units", default="the scene's, else 0.01", **SCENE)
     sync: str = setting(AUTO, "match cameras by what moves, or JSON of frames each is late", metavar=SYNC, **SCENE)

@@ -47,6 +47,7 @@ REGION_VIEWS = 8  # that are drawn from a region
 LABEL = 36  # pixels above each picture, for two lines
 LEAST_WIDTH = 320  # pixels; smaller pictures are shown with larger pixels, so that labels have room
 MOST_GAIN = 64
+RUNG_COLUMNS: Columns = {"rung": ("rung", ""), **QUALITY, "claimed": ("claimed dB", ".2f")}
 SIDE_COLUMNS: Columns = {
     "side": ("", ""), "name": ("", ""), "rung": ("rung", ""), "frames": ("frames", "d"), "fps": ("fps", "g"),
     "sh_degree": ("SH degree", ""), "bytes_per_frame": ("bytes a frame", ",.0f"),
@@ -246,10 +247,6 @@ def compare_rungs(
     _count_blank(next(iter(found.values())))
     measured = {name: dataclasses.asdict(pool(some)) for name, some in found.items()}
     return [{"rung": rung.name, **measured[rung.name], "claimed": rung.psnr} for rung in package.rungs]
-
-
-def format_rungs(rows: Sequence[Row]) -> str:
-    return Table("", rows, {"rung": ("rung", ""), **QUALITY, "claimed": ("claimed dB", ".2f")}).to_text()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -37,10 +37,6 @@ def kilobytes(size: float) -> str:
     return f"{size / 1e3:.2f}"
 
 
-def megabits(rate: float) -> str:
-    return f"{rate / 1e6:.2f}"
-
-
 QUALITY: Columns = {
     "psnr": ("PSNR dB", ".2f"), "low": ("worst 5 %", ".1f"), "ssim": ("SSIM", ".4f"), "delta_e": ("ΔE", ".2f")
 }  # fmt: skip
@@ -49,7 +45,8 @@ COLUMNS: Columns = QUALITY | {
     "segments": ("segments", ""), "tier": ("keyframe tier", ""), "quality": ("quality", ""), "id": ("level", ""),
     "rung": ("rung", ""), "best": ("", lambda best: "*" * best), "gaussians": ("Gaussians", span),
     "factor": ("steps", "x{:g}".format), "pruned": ("pruned", lambda share: f"{100 * share:g} %"),
-    "bytes_per_frame": ("kB/frame", kilobytes), "mean_bps": ("Mbit/s", megabits), "peak_bps": ("peak", megabits),
+    "bytes_per_frame": ("kB/frame", kilobytes), "mean_bps": ("Mbit/s", lambda rate: f"{rate / 1e6:.2f}"),
+    "peak_bps": ("peak", lambda rate: f"{rate / 1e6:.2f}"),
 }  # fmt: skip
 GROUP_COLUMNS = ("group", "frames", "gaussians", "base", "static", "segments")
 KEYFRAME_COLUMNS = ("tier", "quality", "gaussians", "factor", "bytes_per_frame")

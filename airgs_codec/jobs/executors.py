@@ -6,7 +6,6 @@ Any `concurrent.futures.Executor` will do where one is asked for.
 from __future__ import annotations
 
 import logging
-import multiprocessing
 import os
 import signal
 import sys
@@ -16,6 +15,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
+from multiprocessing import get_context
 from typing import Any
 
 from airgs_codec._settings import available_cores
@@ -38,8 +38,7 @@ class Processes(Executor):
         self._deaths = 0  # pools that broke since a call was last finished
 
     def _begin(self) -> ProcessPoolExecutor:
-        given = os.getpid(), self._threads
-        return ProcessPoolExecutor(self._count, multiprocessing.get_context("spawn"), prepare_worker, given)
+        return ProcessPoolExecutor(self._count, get_context("spawn"), prepare_worker, (os.getpid(), self._threads))
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Return a future, which raises WorkError where DEATHS processes died while no call was finished."""

@@ -82,8 +82,7 @@ class SegmentOffer:
 
     @cached_property
     def levels(self) -> tuple[Option, ...]:
-        finest = [rung for rung in self.rungs if rung.quality == 0]
-        return tuple(Option(rung.level, rung.delta_bytes, rung.psnr, rung.saved) for rung in finest)
+        return tuple(Option(r.level, r.delta_bytes, r.psnr, r.saved) for r in self.rungs if r.quality == 0)
 
     def sizes(self, decoded: Keyframes) -> list[int]:
         """Return (R,) wire bytes of deltas and keyframes not yet decoded; OVER_BUDGET if the rung is not allowed."""
@@ -134,7 +133,10 @@ class Offers:
         self.header_bytes, self.first = header_bytes, 0  # the segment that a session begins with
         self.grow(manifest, root_bytes)
         self.live = live  # more groups may come in this session
-        self._made = lru_cache(4096)(self._make)
+        self.offer = lru_cache(4096)(self._offer)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Offers, (self.manifest, self.header_bytes, self.root_bytes, self.live), {"first": self.first}
 
     @staticmethod
     def of(package: Package) -> Offers:
@@ -146,14 +148,11 @@ class Offers:
         self.segments = len(manifest.segments)
         self.fps = float(manifest.fps)
 
-    def offer(self, segment: int, budget: int | None = None) -> SegmentOffer:
+    def _offer(self, segment: int, budget: int | None = None) -> SegmentOffer:
         """Return the offer of a segment, whose rungs are allowed that show no more Gaussians than the budget.
 
         Raises FormatError where its tables cannot be had.
         """
-        return self._made(segment, budget)
-
-    def _make(self, segment: int, budget: int | None) -> SegmentOffer:
         m = self.manifest
         group, found = m.group_of(segment), m.segments[segment]
         base, counts = m.base_of(group), [tier.count for tier in m.groups[group].tiers]

@@ -61,7 +61,8 @@ def run(offers: Offers, downloader: Downloader, policy: Policy, settings: Sessio
     if policy.needs_quality and not offers.manifest.measured:
         words = "the package has no measured quality, encode it with measure_pictures above 0"
         raise ConfigError(f"policy {policy.name}: {words}")
-    return Player(offers, downloader, policy, settings or SessionSettings()).play()
+    rules = settings or SessionSettings()
+    return Player(offers, downloader, policy, rules, Playout(rules), TableStore(offers)).play()
 
 
 @dataclass(slots=True, eq=False)
@@ -124,8 +125,8 @@ class Player:
     downloader: Downloader
     policy: Policy
     settings: SessionSettings
-    playout: Playout = field(init=False)
-    tables: TableStore = field(init=False)
+    playout: Playout
+    tables: TableStore
     end: int = 0  # positions, so far where the package grows
     now_s: float = 0.0  # when the last batch was over, or when there was room for the next
     root_s: float = 0.0  # when airgs.json was asked for
@@ -135,9 +136,6 @@ class Player:
     unusable: set[str] = field(default_factory=set)  # files found missing or corrupt
     given_up: tuple[int, int] = (-1, 0)  # position and size: nothing as large is asked for at that position again
     _keyframes: dict[int, set[Keyframe]] = field(default_factory=dict)  # decoded, by loop: each fetches its own
-
-    def __post_init__(self) -> None:
-        self.playout, self.tables = Playout(self.settings), TableStore(self.offers)
 
     def play(self) -> Steps[None]:
         offers, position = self.offers, 0
@@ -231,21 +229,11 @@ class Player:
         return arrival.complete
 
     def _state(self, position: int, latency_s: float) -> PlayerState:
-        timeline = self.playout.timeline
-        return PlayerState(
-            position=position,
-            offer=self.offer(position),
-            upcoming=partial(self.upcoming, range(position, self.end)),
-            decoded=self.decoded(self.loop(position)),
-            options=self.choices(position),
-            now_s=self.now_s,
-            deadline_s=self.playout.deadline_s(self.now_s),
-            buffer_limit_s=self.settings.buffer_s,
-            request_latency_s=latency_s,
-            shown_quality=timeline[-1].psnr if timeline else None,
-            pipelined=self.pipelines,
-            history=self.history(self.sent_s(latency_s)),
-        )
+        timeline, upcoming = self.playout.timeline, partial(self.upcoming, range(position, self.end))
+        offers = self.offer(position), upcoming, self.decoded(self.loop(position)), self.choices(position)
+        times = self.now_s, self.playout.deadline_s(self.now_s), self.settings.buffer_s, latency_s
+        shown, history = timeline[-1].psnr if timeline else None, self.history(self.sent_s(latency_s))
+        return PlayerState(position, *offers, *times, self.pipelines, shown, history)
 
     def _shown(self, slots: Iterator[TimelineEntry]) -> Iterator[Displayed]:
         for slot in slots:

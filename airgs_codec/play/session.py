@@ -68,9 +68,7 @@ def session_bound(log: SessionLog, integer: bool = False) -> float | None:
     link = log.link
     if link is None or not log.offers.manifest.measured or any(shown.rung is None for shown in log.shown):
         return None
-    slots = []
-    manifest_s = log.fetches[0].arrival_s
-    offers, limit = log.offers, log.settings.buffer_s
+    slots, offers, limit, manifest_s = [], log.offers, log.settings.buffer_s, log.fetches[0].arrival_s
     fronts = np.cumsum([0.0, *(s.frames / offers.fps for s in log.shown)])  # media time at which each begins
     for k, shown in enumerate(log.shown):
         release = manifest_s
