@@ -20,6 +20,7 @@ from airgs_codec.scene.gaussians import Gaussians
 
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Still = tuple[Gaussians, Camera]
 PRECISION = 0.01  # of the rows
 CLOSE = 0.85  # of the squared error that is allowed: enough rows are left out
 DETAIL = 37  # times the error that is allowed: where a picture without rows differs by more, it shows something else
@@ -71,11 +72,7 @@ class RowPruning:
     """Leaves out the least important rows of some frames."""
 
     def __init__(
-        self,
-        pictures: Iterable[tuple[Gaussians, Camera]],
-        rank: Values,
-        errors: dict[int, float],
-        renderer: Renderer = CPU,
+        self, pictures: Iterable[Still], rank: Values, errors: dict[int, float], renderer: Renderer = CPU
     ) -> None:
         """`rank` is the (N,) `importance` of the rows; `errors` holds what has been rendered: rows left out -> error.
 
@@ -114,10 +111,7 @@ class RowPruning:
         return WrittenRows(np.sort(self._order[low:]), known[low])
 
     def _guess(self, errors: Mapping[int, float], middle: int, error: float) -> int:
-        """The count of an error, by linear interpolation of the two nearest known ones in logarithms, or `middle`.
-
-        Rows that are in no picture do not count.
-        """
+        """Return the count of an error, by interpolating the two nearest known ones in logarithms, or `middle`."""
         unused = self._unused
         known = {count - unused: math.log(e / error) for count, e in errors.items() if count > unused and e > 0}
         a, b = sorted(known, key=lambda count: abs(known[count]))[:2] if len(known) > 1 else (0, 0)
@@ -146,7 +140,7 @@ class RowPruning:
         return WrittenRows(np.flatnonzero(mask), self._error_in(pictures))
 
     def _pixels_given(self, pictures: Sequence[NDArray[np.float32]], allowed: float) -> NDArray[np.float64]:
-        """(N,) pixels that each row gives to places where pictures without some rows are plainly wrong."""
+        """Return (N,) pixels that each row gives to places where pictures without some rows are plainly wrong."""
         given = np.zeros(len(self._order))
         for (g, camera), shown, (_, full) in zip(self._pictures, pictures, self._seen, strict=True):
             mask = np.abs(shown - full).max(axis=-1) > DETAIL * allowed
@@ -242,7 +236,7 @@ def _count(whole: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def _entropy_bytes(counts: NDArray[np.int64]) -> float:
-    """Zero-order entropy, in bytes, of numbers of which each occurs so often."""
+    """Return the zero-order entropy, in bytes, of numbers by how often each occurs."""
     total = int(counts.sum())
     share = counts[counts > 0] / max(1, total)
     return float(-(share * np.log2(share)).sum()) * total / 8

@@ -111,7 +111,7 @@ def region_around(
 
 
 def _middle_first(places: list[Place]) -> list[Place]:
-    """The places, first the one from which the others are nearest, with what they look at.
+    """Return the places, first the one from which the others are nearest, with what they look at.
 
     Those all round a scene have no middle, except one above it where nobody would begin: their order stays.
     """
@@ -126,12 +126,12 @@ def _middle_first(places: list[Place]) -> list[Place]:
 
 
 def _rounded(vector: NDArray[np.float64], size: float) -> list[float]:
-    """To a ten-millionth of `size`: nobody stands more exactly, and every viewer fetches them."""
+    """Round to a ten-millionth of `size`: nobody stands more exactly, and every viewer fetches them."""
     return [round(float(v), 7 - int(np.floor(np.log10(size)))) for v in vector]
 
 
 def _distances(camera: Camera, g: Gaussians) -> tuple[float, float]:
-    """How far away along the view axis is what a camera sees, by the median, and how far its nearest part."""
+    """Return the median distance along the view axis of what a camera sees, and that of its nearest part."""
     weight = measure_contribution(g, _small(camera, 128)).total
     offsets = g.means.astype(np.float64) - camera.position
     if not weight.any():  # an empty picture: all of the scene counts
@@ -142,7 +142,7 @@ def _distances(camera: Camera, g: Gaussians) -> tuple[float, float]:
 
 
 def _far_apart(positions: NDArray[np.float64], most: int) -> list[int]:
-    """At most `most` of (C, 3) positions, each as far as possible from those before it, in their order."""
+    """Return at most `most` of (C, 3) positions, each as far as possible from those before it, in their order."""
     chosen: list[int] = []
     nearest = np.full(len(positions), np.inf)
     for _ in range(min(most, len(positions))):

@@ -102,10 +102,8 @@ def rungs(options: Rungs) -> int:
         raise ConfigError(f"{options.original}: expected {package.manifest.frames} frames, got {len(original)}")
     numbers = range(*parse_range(options.frames, len(original)), options.every)
     region, middle = package.manifest.region, original.load([len(original) // 2]).frames[0]
-    if options.views:
-        views = pictures.compared_views(cameras_from(package.origin, read_cameras(options.views)))
-    else:
-        views = draw_views(region, options.draws, CHECKING)
+    given = cameras_from(package.origin, read_cameras(options.views)) if options.views else ()
+    views = pictures.compared_views(given) or draw_views(region, options.draws, CHECKING)
     cameras = before_background(region, with_near_planes(views, middle))
     with Bar(options.json) as bar:
         rows = pictures.compare_rungs(package, original, numbers, cameras, bar)

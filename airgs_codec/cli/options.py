@@ -133,10 +133,8 @@ def make_app(name: str, command: Callable[..., int] | None = None, about: str | 
     how |= {"result_action": "return_value", "help_flags": "--help", "help_format": "plaintext"}
     how["default_parameter"] = Parameter(consume_multiple=True, name_transform=option_name)
     how["help_epilogue"] = f"{ALL} lists every option, --version says which version this is."
-    groups: Given = {
-        "group_arguments": ARGUMENTS,
-        "group_commands": Group("Commands", sort_key=0, show=command is None),
-    }
+    commands = Group("Commands", sort_key=0, show=command is None)
+    groups: Given = {"group_arguments": ARGUMENTS, "group_commands": commands}
     app = App(name=name, help=about, version=__version__, **groups, **how)
     if command is not None:
         app.default(command)

@@ -36,9 +36,8 @@ def serve(options: Serve) -> int:
     packages = Packages(list(options.packages))
     if bool(options.certificate) != bool(options.key):
         raise ConfigError("expected --certificate and --key together")
-    certificate = None
-    if options.certificate and options.key:
-        certificate = options.certificate, options.key
+    certificate = (options.certificate, options.key) if options.certificate and options.key else None
+    if certificate:
         check_certificate(*certificate)
     listening = listen(options.host, options.port)
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)  # open files that the system lets this process have

@@ -14,7 +14,6 @@ from airgs_codec.media.image import write_png
 from airgs_codec.package.package import Package
 from airgs_codec.play.report import beaten_words
 from airgs_codec.progress import Progress, silent
-from airgs_codec.render import Camera
 from airgs_codec.scene.camera import resized
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -34,7 +33,8 @@ def write_report(
     """
     a, b, m = open_side(given, name="given"), open_side(package, name="encoded"), package.manifest
     words, views = shared_views(a, b)
-    result = compare_two(a, b, range(a.frames), [_small(view) for view in views[:REPORT_VIEWS]], progress)
+    small = [resized(v, min(1.0, (REPORT_PIXELS / (v.width * v.height)) ** 0.5)) for v in views[:REPORT_VIEWS]]
+    result = compare_two(a, b, range(a.frames), small, progress)
     s = summarise(m, done.manifest_bytes)
     top, quality, worst, sizes = s["rungs"][0], result.quality, result.worst, s["top_rung_bytes"]
     claim = f", and is measured at {top['psnr']:.1f} dB, good to {top['error']:.1f} dB" if m.measured else ""
@@ -65,10 +65,6 @@ def write_report(
         Table("What was decided", [{"decision": line} for line in m.decisions]),
     ]
     return Page(answered(answer, pictures, *tables), "What was encoded").write(folder)
-
-
-def _small(camera: Camera) -> Camera:
-    return resized(camera, min(1.0, (REPORT_PIXELS / (camera.width * camera.height)) ** 0.5))
 
 
 def advice(done: EncodeReport) -> str:

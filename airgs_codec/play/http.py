@@ -266,8 +266,7 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
                 self._on_retry(f"{self._url}/{path}: {fault.detail}; asking again")
             transfer.retries.append(Retry(path, fault.detail, answer.size))
             pause_s = min(LONGEST_PAUSE_S, self._settings.backoff_s * 2 ** min(tries, 30))
-            pause_s *= random.uniform(0.5, 1.0)  # not the same for everybody who lost the same server
-            await asyncio.sleep(pause_s)
+            await asyncio.sleep(pause_s * random.uniform(0.5, 1.0))  # clients of one server do not return together
 
     def _fault(self, path: str, error: Exception, away: bool) -> FormatError:
         """Return what an error means for a file; `away`: the server has sent nothing since the request."""

@@ -105,12 +105,8 @@ class SessionLog:
         events: Iterable[Event], offers: Offers, policy: str, settings: SessionSettings, link: Link | None = None
     ) -> SessionLog:
         """Fold events into a log. Deltas of a replaced rung are wasted; its keyframes are not: they stay decoded."""
-        fetches: list[Fetch] = []
-        shown: list[Displayed] = []
-        lost: list[str] = []
-        retried: list[str] = []
-        by_kind: Counter[FileKind] = Counter()
-        brought: dict[int, Fetch] = {}  # position -> the batch that brought its delta
+        fetches, shown, lost, retried = list[Fetch](), list[Displayed](), list[str](), list[str]()
+        by_kind, brought = Counter[FileKind](), dict[int, Fetch]()  # position -> the batch that brought its delta
         for event in events:
             match event:
                 case Arrived(arrival):

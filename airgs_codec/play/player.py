@@ -272,7 +272,7 @@ class Player:
                 gain = option.quality - here.psnr
                 if gain < REPLACE_GAIN_DB:
                     continue
-                size = option.size_bytes  # the state is decoded where only the keyframes would be better
+                size = option.size_bytes  # the delta is decoded where only the keyframes would be better
                 size -= here.delta_bytes if offer.rungs[option.index].level == here.level else 0
                 if free_s + 8 * size / rate_bps + self.settings.decode_frame_s > slot.start_s:
                     continue

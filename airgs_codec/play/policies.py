@@ -171,7 +171,7 @@ def choose_paper(state: PlayerState) -> Decision:
     """Run Algorithm 1 over the sizes and qualities of this very segment; if no rung is before the cliff, over all.
 
     The dense level space of Algorithm 1 is here what a package has of it: the levels of the segment with the finest
-    keyframes, by the bytes of their states. A segment of two levels has a cliff only where the second is 3 dB worse per
+    keyframes, by the bytes of their deltas. A segment of two levels has a cliff only where the second is 3 dB worse per
     10 % of the bytes saved; of one level, none. Keyframe qualities have no cliff: they are not updates withheld.
     """
     rungs = state.offer.rungs
@@ -356,5 +356,4 @@ def make_policy(policy: Policy | Choose | str, offers: Offers, link: Link | None
     if name not in fixed:
         names = f"{', '.join(POLICY_NAMES)}, fixed:0 … fixed:{levels - 1} or fixed:{offers.names[-1]}"
         raise ConfigError(f"policy: expected {names}, got {name!r}")
-    choose = partial(choose_fixed, rung=fixed[name])
-    return Policy(name, choose, may_abandon=False, may_replace=False, needs_quality=False)
+    return Policy(name, partial(choose_fixed, rung=fixed[name]), False, False, needs_quality=False)

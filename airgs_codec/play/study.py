@@ -107,8 +107,8 @@ def run_study(package: str | Path, settings: StudySettings, progress: Progress =
         Trace.open(trace)  # refuses one that cannot be read before minutes of work
     rows: list[Row] = []
     progress("sessions", 0, len(settings.traces))
-    context = multiprocessing.get_context("spawn")  # a fork has no threads, and clients of object stores live on them
-    with ProcessPoolExecutor(settings.jobs, context) as pool:
+    # A fork has no threads, and clients of object stores live on them.
+    with ProcessPoolExecutor(settings.jobs, multiprocessing.get_context("spawn")) as pool:
         for done, some in enumerate(pool.map(_one_trace, repeat(package), settings.traces, repeat(settings)), 1):
             rows += some
             progress("sessions", done, len(settings.traces))
