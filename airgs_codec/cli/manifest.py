@@ -126,7 +126,7 @@ def export_page(options: ExportPage) -> int:
 
     with Bar() as bar:
         made = export(options.packages, options.output, title=options.title, address=options.address, progress=bar)
-    say("\n".join(f"{one.name}: {one.seen.words}" for one in made))
+    say("\n".join(f"{name}: {seen.words}" for name, seen in made.items()))
     say(f"{options.output}: to look at it, python3 -m http.server --directory {options.output}")
     return 0
 

@@ -60,7 +60,7 @@ def simulate(
     return play(package, SimulatedDownloader(trace, package, faults or {}), policy, rules, trace)
 
 
-def session_bound(log: SessionLog, integer: bool = False) -> float | None:
+def session_bound(log: SessionLog) -> float | None:
     """Return the upper bound on the mean PSNR (dB) of any player that shows each segment when this one did.
 
     None when segments were lost, without measured quality, and over a real connection, whose capacity is not known.
@@ -79,5 +79,5 @@ def session_bound(log: SessionLog, integer: bool = False) -> float | None:
         begin, deadline = release + link.rtt_s, shown.start_s - log.settings.decode_frame_s
         capacities = link.bytes_between(0.0, begin), link.bytes_between(0.0, deadline)
         slots.append(Slot(offers.offer(shown.segment, budget=log.settings.budget), *capacities))
-    solution = solve_horizon(slots, integer=integer)
+    solution = solve_horizon(slots)
     return None if solution is None else solution.quality

@@ -148,7 +148,7 @@ class Interval(NamedTuple):
     high: float
 
 
-def interval(values: NDArray[np.float64], groups: Sequence[str], seed: int = 0) -> Interval:
+def interval(values: NDArray[np.float64], groups: Sequence[str]) -> Interval:
     """Return mean and 95 % interval by percentile bootstrap over whole traces, whose offsets are not independent.
 
     values (n,), NaN where there is no figure; groups (n,) name the trace of each. All NaN where nothing is known.
@@ -159,7 +159,7 @@ def interval(values: NDArray[np.float64], groups: Sequence[str], seed: int = 0) 
         return Interval(math.nan, math.nan, math.nan)
     sums = np.bincount(member[finite], values[finite], len(names))
     counts = np.bincount(member[finite], minlength=len(names)).astype(np.float64)
-    picks = np.random.default_rng(seed).integers(0, len(names), (RESAMPLES, len(names)))
+    picks = np.random.default_rng(0).integers(0, len(names), (RESAMPLES, len(names)))
     drawn = counts[picks].sum(axis=1)
     means = sums[picks].sum(axis=1)[drawn > 0] / drawn[drawn > 0]
     low, high = np.percentile(means, [2.5, 97.5])
