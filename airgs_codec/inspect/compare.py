@@ -32,7 +32,7 @@ from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.region import CHECKING, background_of, draw_views, from_origin
 from airgs_codec.package.tables import Region, RungQuality
 from airgs_codec.places.place import is_address, place_at
-from airgs_codec.progress import Progress, silent, told
+from airgs_codec.progress import Progress, as_reporter, silent
 from airgs_codec.render import Camera
 from airgs_codec.render.compare import View, draw_once, draw_still
 from airgs_codec.render.compare import compare as compare_views
@@ -299,7 +299,7 @@ def compare(
         raise ConfigError(f"frames: expected some of {both}, got {numbers}")
     if cameras is not None and not cameras:
         raise ConfigError("cameras: expected at least one")
-    return compare_two(a, b, numbers, shared_views(a, b, cameras or ())[1], told(progress))
+    return compare_two(a, b, numbers, shared_views(a, b, cameras or ())[1], as_reporter(progress))
 
 
 def compare_two(a: Side, b: Side, frames: range, cameras: Sequence[Camera], progress: Progress = silent) -> Comparison:
