@@ -17,7 +17,7 @@ import pytest
 from tqdm.auto import tqdm
 
 import airgs_codec as airgs
-from airgs_codec._settings import computed_setting, documented, setting
+from airgs_codec._settings import documented, setting
 from airgs_codec.progress import as_reporter
 from tests.faces import summarise, write_ply
 from tests.support.paths import FOX, GOLDEN
@@ -331,7 +331,7 @@ class Example:
     """Two things."""
 
     size: int = setting(3, "how many, in pixels")
-    names: list[str] = computed_setting(list, "what they are called")
+    names: list[str] = setting(list, "what they are called")
 
 
 def test_a_field_has_its_default_its_meaning_and_a_line_in_the_docstring():

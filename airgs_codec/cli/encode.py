@@ -255,11 +255,7 @@ def _group_line(done: PublishedGroup, as_json: bool) -> str:
 
 def _as_json(report: EncodeReport, target: str) -> dict[str, object]:
     m, rows = report.manifest, report.rows
-    figures: dict[str, object] = {
-        "package": target,
-        "frames": m.frames,
-        "bytes": m.media_bytes() + report.manifest_bytes,
-    }
+    figures: Given = {"package": target, "frames": m.frames, "bytes": m.media_bytes() + report.manifest_bytes}
     figures["top_rung_bytes"] = m.bytes_of(m.rung_files(0, 0)) + report.manifest_bytes
     figures["seconds"] = {stage.about: round(stage.seconds, 3) for stage in report.stages()}
     figures["rows"] = {name: getattr(rows, name) for name in ("matched", "sure", "unmatched", "alone")}

@@ -43,14 +43,12 @@ def serve(options: Serve) -> int:
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)  # open files that the system lets this process have
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     say(_greeting(packages, listening, "https" if certificate else "http"))
-    asyncio.run(_serve_until_signal(packages, listening, certificate))
+    asyncio.run(_serve(packages, listening, certificate))
     say("stopped")
     return 0
 
 
-async def _serve_until_signal(
-    packages: Packages, listening: socket.socket, certificate: tuple[Path, Path] | None
-) -> None:
+async def _serve(packages: Packages, listening: socket.socket, certificate: tuple[Path, Path] | None) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)

@@ -65,9 +65,7 @@ class Train:
     preset: str = setting(TRAIN_PRESETS[0], "paper: the AirGS paper's method and constants", choices=TRAIN_PRESETS)
     frames: str = setting(":", FRAMES_HELP, metavar="A:B", default="all")
     fps: Fraction | None = setting(None, "frames a second", default="what the scene says, else 30", **FPS)
-    hold_out: str | None = setting(
-        None, "test cameras with commas, or none", metavar="NAMES", default="the scene's, or 1/8"
-    )
+    hold_out: str | None = setting(None, "test cameras, or none", metavar="NAMES", default="the scene's, or one in 8")
     effort: str = setting("normal", f"iterations of every frame, times {EFFORT_WORDS}", choices=tuple(EFFORTS))
     iterations: tuple[int, ...] | None = setting(None, ITERATIONS_HELP, **ITERATIONS)
     settings: Given = given(TrainSettings, "method", EVERYDAY)
@@ -199,12 +197,9 @@ def summary(model: ModelFolder) -> dict[str, Any]:
 
     frames = model.record.frames
     held_out = [f.held_out_psnr for f in frames if f.held_out_psnr is not None]
-    s: dict[str, Any] = {
-        "model": str(model.folder),
-        "frames": [asdict(f) for f in frames],
-        "keyframes": model.record.keyframes(),
-    }
-    s |= {"psnr_definition": PSNR_DEFINITION, "psnr": fmean(f.psnr for f in frames)}
+    s: Given = {"model": str(model.folder), "frames": [asdict(f) for f in frames]}
+    s |= {"keyframes": model.record.keyframes(), "psnr_definition": PSNR_DEFINITION}
+    s["psnr"] = fmean(f.psnr for f in frames)
     s |= {"held_out_psnr": fmean(held_out) if held_out else None, "held_out_worst": min(held_out, default=None)}
     return s | {"seconds": sum(f.seconds for f in frames), "warnings": model.record.warnings()}
 

@@ -239,7 +239,7 @@ def choose_robust_mpc(state: PlayerState) -> Decision:
         total_s += offer.seconds
     value = np.zeros((len(state.offer.rungs), GRID_POINTS))
     for (before, _), (offer, decoded) in reversed(list(pairwise(segments))):
-        value = _value_before(before, offer, download_s(offer.bytes_after(before, decoded)), limit_s, value)
+        value = _values(before, offer, download_s(offer.bytes_after(before, decoded)), limit_s, value)
     rungs = np.array([p.index for p in state.options])
     sizes = np.array([p.size_bytes for p in state.options])
     quality = np.array([p.quality for p in state.options])
@@ -256,9 +256,7 @@ def choose_robust_mpc(state: PlayerState) -> Decision:
     return Decision(int(rungs[best]), bool(stall[best] <= 0), reason, int(sizes[best]))
 
 
-def _value_before(
-    before: SegmentOffer, offer: SegmentOffer, download_s: Floats, limit_s: float, value: Floats
-) -> Floats:
+def _values(before: SegmentOffer, offer: SegmentOffer, download_s: Floats, limit_s: float, value: Floats) -> Floats:
     """Return (R, B) the best total from a segment on, by the rung of the previous one and the buffer.
 
     download_s (P, R), the limit of the buffer, value (R, B) of what follows.

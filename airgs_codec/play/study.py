@@ -129,12 +129,8 @@ def _one_trace(package: str | Path, name: str, settings: StudySettings) -> list[
         for policy in settings.policies:
             log = simulate(c, link, policy, rules)
             bound, frames = session_bound(log), log.metrics.frames
-            row = {"trace": trace.name, **about} | {
-                "policy": policy,
-                "feasible": feasible,
-                **log.metrics.as_dict(),
-                "bound": bound,
-            }
+            row = {"trace": trace.name, **about, "policy": policy, "feasible": feasible}
+            row |= log.metrics.as_dict() | {"bound": bound}
             row["regret"] = None if bound is None else bound - log.mean_quality
             rows.append(row | {f"{k}_kb_frame": log.bytes_by_kind.get(k, 0) / frames / 1e3 for k in FileKind})
     return rows
@@ -238,7 +234,7 @@ def study_answer(study: Study) -> dict[str, str]:
     wrong = "The smallest rungs play on all links."
     if len(hard := 100 * study.of(best, "stall_ratio", False)):
         wrong = (
-            f"On {len(hard)} of {len(traces)} links even the smallest rungs stall, begun after {FEASIBLE_START_S:g} s, "
+            f"On {len(hard)} of {len(traces)} links even the smallest rungs stall, begun after {FEASIBLE_START_S:g} "
         )
-        wrong += f"and {best} waits {hard.mean():.1f} % of the time: encode a lower level (airgs-encode --levels)."
+        wrong += f"s, and {best} waits {hard.mean():.1f} % of the time: encode a lower level (airgs-encode --levels)."
     return {"good": " ".join(good), "wrong": wrong, "change": change}
