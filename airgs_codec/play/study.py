@@ -234,7 +234,7 @@ def study_answer(study: Study) -> dict[str, str]:
     wrong = "The smallest rungs play on all links."
     if len(hard := 100 * study.of(best, "stall_ratio", False)):
         wrong = (
-            f"On {len(hard)} of {len(traces)} links even the smallest rungs stall, begun after {FEASIBLE_START_S:g} "
+            f"On {len(hard)} of {len(traces)} links even the smallest rungs stall, begun after {FEASIBLE_START_S:g} s, "
+            f"and {best} waits {hard.mean():.1f} % of the time: encode a lower level (airgs-encode --levels)."
         )
-        wrong += f"s, and {best} waits {hard.mean():.1f} % of the time: encode a lower level (airgs-encode --levels)."
     return {"good": " ".join(good), "wrong": wrong, "change": change}
