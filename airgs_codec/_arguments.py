@@ -30,9 +30,7 @@ def argument(
 
 def path_argument(name: str, value: str | Path) -> str | Path:
     """Return a path or an address. Raises ConfigError for anything else."""
-    if isinstance(value, (str, Path)):
-        return value
-    raise ConfigError(f"{name}: expected a path or an address, got {described(value)}")
+    return value if isinstance(value, str) else argument(name, value, Path, "a path or an address")
 
 
 def frame_argument(value: object, frames: int, least: int = 0) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import os
 import textwrap
-from collections.abc import Callable
 from dataclasses import MISSING, Field, field, fields
 from numbers import Integral, Real
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
@@ -19,18 +18,14 @@ Settings = TypeVar("Settings")
 
 
 def setting(default: Any, about: str, /, **more: Any) -> Any:
-    """Return a field of settings with its default; `about` is a phrase that says what it means, with its unit.
+    """Return a field of settings with its default, or a function that makes one; `about` says what it is, in what unit.
 
     `more`, of the option that is made of it: arguments of `cyclopts.Parameter` (choices, metavar, name, alias,
     validator); `read`, a function from text; `default`, in words; `topic`, unless it is an everyday option; `option`:
     False for none.
     """
-    return field(default=default, metadata={"help": about, **more})
-
-
-def computed_setting(default: Callable[[], Any], about: str, /, **more: Any) -> Any:
-    """Return the same with a default that is computed when the settings are made."""
-    return field(default_factory=default, metadata={"help": about, **more})
+    given: Any = {"default_factory" if callable(default) else "default": default}
+    return field(**given, metadata={"help": about, **more})
 
 
 def required(about: str, **more: Any) -> Any:

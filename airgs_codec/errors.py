@@ -37,9 +37,7 @@ class FormatError(AirgsError, ValueError):
 
     def __init__(self, reason: str, where: str, detail: str) -> None:
         super().__init__(f"{where}: {detail} [{reason}]")
-        self.reason = reason
-        self.where = where
-        self.detail = detail
+        self.reason, self.where, self.detail = reason, where, detail
 
 
 class TrainingError(AirgsError, RuntimeError):

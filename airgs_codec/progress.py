@@ -31,7 +31,7 @@ def silent(stage: str, done: int, total: int) -> None:
     """Report nothing."""
 
 
-def told(progress: Progress | type) -> Progress:
+def as_reporter(progress: Progress | type) -> Progress:
     """Return a function of what `progress=` takes: a class, such as tqdm.auto.tqdm, shows a bar for each stage."""
     return Bars(progress) if isinstance(progress, type) else progress
 

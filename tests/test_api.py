@@ -17,8 +17,8 @@ import pytest
 from tqdm.auto import tqdm
 
 import airgs_codec as airgs
-from airgs_codec._settings import computed_setting, documented, setting
-from airgs_codec.progress import told
+from airgs_codec._settings import documented, setting
+from airgs_codec.progress import as_reporter
 from tests.faces import summarise, write_ply
 from tests.support.paths import FOX, GOLDEN
 from tests.support.paths import PACKAGE as CODE
@@ -184,7 +184,7 @@ class Bars(tqdm):
 
 def test_a_class_of_bars_shows_one_for_each_stage_whose_end_may_move(capsys):
     Bars.made.clear()
-    progress = told(Bars)
+    progress = as_reporter(Bars)
     for stage, done, total in [("a", 1, 4), ("a", 2, 4), ("b", 0, 3), ("b", 1, 5), ("b", 5, 5), ("b", 1, 2)]:
         progress(stage, done, total)
     assert [(bar.desc.strip(": "), bar.n, bar.total) for bar in Bars.made] == [("a", 2, 4), ("b", 5, 5), ("b", 1, 2)]
@@ -331,7 +331,7 @@ class Example:
     """Two things."""
 
     size: int = setting(3, "how many, in pixels")
-    names: list[str] = computed_setting(list, "what they are called")
+    names: list[str] = setting(list, "what they are called")
 
 
 def test_a_field_has_its_default_its_meaning_and_a_line_in_the_docstring():

@@ -45,7 +45,7 @@ def carry(g: Gaussians, frame: Gaussians, velocity: NDArray[np.floating] | None 
 
 
 def _carried(g: Gaussians, shift: Vectors, weight: Vectors, rows: int) -> Gaussians:
-    """The rows moved and turned by nodes of some rows each, by shifts (N, 3) of weight (N,)."""
+    """Move and turn rows by nodes of some rows each, by shifts (N, 3) of weight (N,)."""
     here = g.means.astype(np.float64)
     nodes = here[np.linspace(0, len(g) - 1, max(1, len(g) // rows)).astype(int)]
     ties = _ties(here, nodes)
@@ -64,7 +64,7 @@ def unmatched(g: Gaussians, frame: Gaussians) -> NDArray[np.intp]:
 
 
 def _matches(g: Gaussians, tree: cKDTree, spacing: float) -> tuple[Vectors, NDArray[np.intp], NDArray[np.bool_]]:
-    """(N,) distance of the nearest row in a tree of features, which it is, and if they are nearest both ways."""
+    """Return (N,) distance to the nearest row in a tree of features, its number, and if both are each other's."""
     wanted = _features(g, spacing)
     distance, match = tree.query(wanted, workers=-1)
     back = cKDTree(wanted).query(tree.data[match], workers=-1)[1]
@@ -72,12 +72,12 @@ def _matches(g: Gaussians, tree: cKDTree, spacing: float) -> tuple[Vectors, NDAr
 
 
 def _features(g: Gaussians, spacing: float) -> Vectors:
-    """(N, 10) mean in units of `spacing`, and attributes, with a fifth of the weight in frames of one tracking."""
+    """Return (N, 10) mean in units of `spacing`, and attributes with a fifth of their weight in tracked frames."""
     return np.hstack([g.means.astype(np.float64) / spacing, 0.2 * attributes(g)])
 
 
 def _ties(points: Vectors, nodes: Vectors) -> csr_array:
-    """(N, S) how much each row moves with the nodes next to it, summing to 1."""
+    """Return (N, S) how much each row moves with the nodes next to it, summing to 1."""
     count = min(6, len(nodes))
     away, which = cKDTree(nodes).query(points, k=count, workers=-1)
     away, which = away.reshape(len(points), count), which.reshape(len(points), count)
@@ -89,7 +89,7 @@ def _ties(points: Vectors, nodes: Vectors) -> csr_array:
 
 
 def _motion(ties: csr_array, here: Vectors, shift: Vectors, weight: Vectors) -> tuple[Vectors, Vectors, Vectors]:
-    """Centre, shift and small turn (S, 3) of each node that best explain the shifts (N, 3) of rows about it."""
+    """Return centre, shift and small turn (S, 3) of each node that best explain shifts (N, 3) of rows about it."""
     pull = (ties.T * weight).tocsr()
     total = pull.sum(axis=1)[:, None] + 1e-12
     centre, move = (pull @ here) / total, (pull @ shift) / total

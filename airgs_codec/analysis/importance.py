@@ -18,6 +18,9 @@ from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.beside import Usage
 from airgs_codec.scene.gaussians import Gaussians
 
+Values = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Still = tuple[Gaussians, Camera]
 PRECISION = 0.01  # of the rows
 CLOSE = 0.85  # of the squared error that is allowed: enough rows are left out
 DETAIL = 37  # times the error that is allowed: where a picture without rows differs by more, it shows something else
@@ -65,14 +68,11 @@ class WrittenRows:
         return WrittenRows(np.arange(count), 0.0)
 
 
-Still = tuple[Gaussians, Camera]
-
-
 class RowPruning:
     """Leaves out the least important rows of some frames."""
 
     def __init__(
-        self, pictures: Iterable[Still], rank: NDArray[np.float64], errors: dict[int, float], renderer: Renderer = CPU
+        self, pictures: Iterable[Still], rank: Values, errors: dict[int, float], renderer: Renderer = CPU
     ) -> None:
         """`rank` is the (N,) `importance` of the rows; `errors` holds what has been rendered: rows left out -> error.
 
@@ -111,10 +111,7 @@ class RowPruning:
         return WrittenRows(np.sort(self._order[low:]), known[low])
 
     def _guess(self, errors: Mapping[int, float], middle: int, error: float) -> int:
-        """The count of an error, by linear interpolation of the two nearest known ones in logarithms, or `middle`.
-
-        Rows that are in no picture do not count.
-        """
+        """Return the count of an error, by interpolating the two nearest known ones in logarithms, or `middle`."""
         unused = self._unused
         known = {count - unused: math.log(e / error) for count, e in errors.items() if count > unused and e > 0}
         a, b = sorted(known, key=lambda count: abs(known[count]))[:2] if len(known) > 1 else (0, 0)
@@ -143,7 +140,7 @@ class RowPruning:
         return WrittenRows(np.flatnonzero(mask), self._error_in(pictures))
 
     def _pixels_given(self, pictures: Sequence[NDArray[np.float32]], allowed: float) -> NDArray[np.float64]:
-        """(N,) pixels that each row gives to places where pictures without some rows are plainly wrong."""
+        """Return (N,) pixels that each row gives to places where pictures without some rows are plainly wrong."""
         given = np.zeros(len(self._order))
         for (g, camera), shown, (_, full) in zip(self._pictures, pictures, self._seen, strict=True):
             mask = np.abs(shown - full).max(axis=-1) > DETAIL * allowed
@@ -155,13 +152,12 @@ class RowPruning:
     def error_of(self, written: int) -> float:
         """Return the pooled error of pictures of only the `written` most important rows."""
         left_out = len(self._order) - written
-        return self._errors[left_out] if left_out in self._errors else self._error(left_out)
-
-    def _error(self, count: int) -> float:
-        written = np.ones(len(self._order), bool)
-        written[self._order[:count]] = False
-        self._last = count, self._draw(written)
-        return self._errors.setdefault(count, self._error_in(self._last[1]))
+        if left_out not in self._errors:
+            mask = np.ones(len(self._order), bool)
+            mask[self._order[:left_out]] = False
+            self._last = left_out, self._draw(mask)
+            self._errors[left_out] = self._error_in(self._last[1])
+        return self._errors[left_out]
 
     def _error_in(self, pictures: Sequence[NDArray[np.float32]]) -> float:
         return pooled_error([mse(shown, full) for shown, (_, full) in zip(pictures, self._seen, strict=True)])
@@ -171,11 +167,8 @@ class RowPruning:
 
 
 def select_omissions(
-    sizes: NDArray[np.float64],
-    guesses: NDArray[np.float64],
-    error: Callable[[NDArray[np.bool_], float], float],
-    price: float,
-) -> tuple[NDArray[np.bool_], float]:
+    sizes: Values, guesses: Values, error: Callable[[Mask, float], float], price: float
+) -> tuple[Mask, float]:
     """Choose which of (c,) things to leave out, as a mask, and return the mean squared error that this makes.
 
     `sizes` are bytes a frame; `guesses`, estimates of the error of leaving each one out, only rank the things; `error`
@@ -224,9 +217,7 @@ class CostSums:
         return np.array(sizes), np.maximum(0.0, self.errors - CODING_VARIANCE * self.weights)
 
 
-def estimate_cost(
-    values: NDArray[np.float64], centres: NDArray[np.float64], weights: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def estimate_cost(values: Values, centres: Values, weights: Values) -> tuple[Values, Values]:
     """Return (c,) bytes that each channel of `values` takes, and (c,) errors if it were constant at its centre.
 
     `values` (T, c, n) and `centres` (c,) are in steps, `weights` (c, n) are the squared error of pictures for a
@@ -245,7 +236,7 @@ def _count(whole: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def _entropy_bytes(counts: NDArray[np.int64]) -> float:
-    """Zero-order entropy, in bytes, of numbers of which each occurs so often."""
+    """Return the zero-order entropy, in bytes, of numbers by how often each occurs."""
     total = int(counts.sum())
     share = counts[counts > 0] / max(1, total)
     return float(-(share * np.log2(share)).sum()) * total / 8

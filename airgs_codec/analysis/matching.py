@@ -48,8 +48,8 @@ def spacing_of(means: NDArray[np.float32]) -> float:
     return float(np.median(distances[distances > 0])) if distances.any() else 1.0
 
 
-def compare_order(a: Gaussians, b: Gaussians) -> tuple[str, float]:
-    """Return whether rows of two frames of one length are IN_ORDER, LOST or UNRELATED, and the share of sure rows.
+def compare_order(a: Gaussians, b: Gaussians) -> str:
+    """Return whether rows of two frames of one length are IN_ORDER, LOST or UNRELATED.
 
     They are in order where nearly every row differs far less from row n of the other frame than from others; lost where
     many surely are another row of it; unrelated where most differ as much as any two rows do.
@@ -58,14 +58,13 @@ def compare_order(a: Gaussians, b: Gaussians) -> tuple[str, float]:
     own, others = (np.linalg.norm(second - rows, axis=1) for rows in (first, first[_unrelated(len(a))]))
     # Of fewer than eight rows medians say nothing; tracked rows stay below a tenth of the distance of unrelated ones.
     if len(a) < 8 or np.percentile(own, 95) < 0.1 * np.median(others):
-        return IN_ORDER, 1.0
+        return IN_ORDER
     spacing, some = spacing_of(a.means), _some(len(a))
     wanted, offered = fingerprints(a, spacing), fingerprints(b, spacing)
     rows, _, sure = _nearest_two(wanted[some], offered)
-    share = float(sure.mean())
-    if share >= LEAST_SURE and (sure & (rows != some)).mean() >= 0.05:
-        return LOST, share
-    return (IN_ORDER if _correspond(wanted, offered) else UNRELATED), share
+    if sure.mean() >= LEAST_SURE and (sure & (rows != some)).mean() >= 0.05:
+        return LOST
+    return IN_ORDER if _correspond(wanted, offered) else UNRELATED
 
 
 def match_rows(expected: Gaussians, frame: Gaussians) -> tuple[NDArray[np.int32], float]:
@@ -84,13 +83,13 @@ def match_rows(expected: Gaussians, frame: Gaussians) -> tuple[NDArray[np.int32]
 
 
 def _nearest_two(wanted: Values, offered: Values, eps: float = 0.0) -> tuple[Rows, Values, NDArray[np.bool_]]:
-    """The nearest row of `offered` to each of n, the distance of the second nearest, and if that is much larger."""
+    """Return the nearest row of `offered` to each of n, the second one's distance, and if that is much larger."""
     distances, rows = cKDTree(offered).query(wanted, k=2, eps=eps, workers=-1)
     return rows[:, 0], distances[:, 1], distances[:, 0] <= SURE_RATIO * distances[:, 1]
 
 
 def _assign(wanted: Values, offered: Values) -> tuple[NDArray[np.int32], Values]:
-    """(N,) a row of `offered` for each of `wanted`, (N, 11) and (M, 11), or NONE, and their distance.
+    """Return (N,) a row of `offered` for each of `wanted`, (N, 11) and (M, 11), or NONE, and their distance.
 
     In every round each asks for its nearest free one.
     """
@@ -109,7 +108,7 @@ def _assign(wanted: Values, offered: Values) -> tuple[NDArray[np.int32], Values]
 
 
 def _number_of_equal(values: Values) -> Values:
-    """(N,) how many equal rows come before each: it separates equal rows, on which a tree would take for ever."""
+    """Return (N,) how many equal rows precede each, which separates them: a tree of equal rows would be a list."""
     keys = (values * np.random.default_rng(0).random(values.shape[1])).sum(axis=1)
     order = np.argsort(keys, kind="stable")
     changes = np.diff(keys[order], prepend=np.nan) != 0
@@ -120,7 +119,7 @@ def _number_of_equal(values: Values) -> Values:
 
 
 def _correspond(a: Values, b: Values) -> bool:
-    """Whether rows n of (N, 11) differ half as much as unrelated ones in most attributes, else in means."""
+    """Return whether rows n of (N, 11) differ half as much as unrelated ones in most attributes, else in means."""
     b = np.hstack([b[:, :3] - np.median(b[:, :3] - a[:, :3], axis=0), b[:, 3:]])  # a scene may move as a whole
     own, unrelated = b - a, b - a[_unrelated(len(a))]
     near, far = (np.median(np.abs(of[:, 3:10]), axis=0) for of in (own, unrelated))

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,19 +104,14 @@ def region_around(
         ends = _rounded(position, distance), _rounded(position + distance * rotation[2], distance)
         reach = float(f"{min(margin, 0.5 * clearance):.7g}")
         places.append(Place(*ends, _rounded(-rotation[1], 1.0), reach))
-    return Region(
-        source=source,
-        width=first.width,
-        height=first.height,
-        fov_y=float(np.degrees(2 * np.arctan(first.height / 2 / first.fy))),
-        near=min(cameras[i].near for i in chosen),
-        turn=5.0 if margin > 0 else 0.0,
-        places=_middle_first(places) if source == "cameras" else places,
-    )
+    size: dict[str, Any] = {"width": first.width, "height": first.height, "turn": 5.0 if margin > 0 else 0.0}
+    fov_y, near = float(np.degrees(2 * np.arctan(first.height / 2 / first.fy))), min(cameras[i].near for i in chosen)
+    places = _middle_first(places) if source == "cameras" else places
+    return Region(source=source, **size, fov_y=fov_y, near=near, places=places)
 
 
 def _middle_first(places: list[Place]) -> list[Place]:
-    """The places, first the one from which the others are nearest, with what they look at.
+    """Return the places, first the one from which the others are nearest, with what they look at.
 
     Those all round a scene have no middle, except one above it where nobody would begin: their order stays.
     """
@@ -130,12 +126,12 @@ def _middle_first(places: list[Place]) -> list[Place]:
 
 
 def _rounded(vector: NDArray[np.float64], size: float) -> list[float]:
-    """To a ten-millionth of `size`: nobody stands more exactly, and every viewer fetches them."""
+    """Round to a ten-millionth of `size`: nobody stands more exactly, and every viewer fetches them."""
     return [round(float(v), 7 - int(np.floor(np.log10(size)))) for v in vector]
 
 
 def _distances(camera: Camera, g: Gaussians) -> tuple[float, float]:
-    """How far away along the view axis is what a camera sees, by the median, and how far its nearest part."""
+    """Return the median distance along the view axis of what a camera sees, and that of its nearest part."""
     weight = measure_contribution(g, _small(camera, 128)).total
     offsets = g.means.astype(np.float64) - camera.position
     if not weight.any():  # an empty picture: all of the scene counts
@@ -146,7 +142,7 @@ def _distances(camera: Camera, g: Gaussians) -> tuple[float, float]:
 
 
 def _far_apart(positions: NDArray[np.float64], most: int) -> list[int]:
-    """At most `most` of (C, 3) positions, each as far as possible from those before it, in their order."""
+    """Return at most `most` of (C, 3) positions, each as far as possible from those before it, in their order."""
     chosen: list[int] = []
     nearest = np.full(len(positions), np.inf)
     for _ in range(min(most, len(positions))):

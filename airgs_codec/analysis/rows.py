@@ -99,14 +99,11 @@ def restore_rows(
     orders = {frame: order for run in done for frame, order in run.orders().items()}
     sure = {frame: share for run in done for frame, share in run.sure.items()}
     restored = replace(sequence, orders=orders, breaks=(*sequence.breaks, *breaks)) if orders or breaks else sequence
-    return Restored(
-        restored,
-        tuple(sure),
-        float(np.mean(list(sure.values()))) if sure else 1.0,
-        float(np.mean([(order == NONE).mean() for order in orders.values()])) if orders else 0.0,
-        tuple(frame for frame in breaks if frame not in changes),
-        tuple(frame for frame in _alone(sequence) if frame in asked and frame not in orders),
-    )
+    share = float(np.mean(list(sure.values()))) if sure else 1.0
+    missing = float(np.mean([(order == NONE).mean() for order in orders.values()])) if orders else 0.0
+    unmatched = tuple(frame for frame in breaks if frame not in changes)
+    alone = tuple(frame for frame in _single_frames(sequence) if frame in asked and frame not in orders)
+    return Restored(restored, tuple(sure), share, missing, unmatched, alone)
 
 
 class _Run:
@@ -125,7 +122,7 @@ class _Run:
         """Take the next frame; False where it is unrelated to those before, and not of the run."""
         state, ids = LOST, self._ids[-1]
         if not self._matches_all and len(frame) == len(self._file):
-            state, _ = compare_order(self._file, frame)
+            state = compare_order(self._file, frame)
         if state != IN_ORDER:
             found = self._match(frame) if state == LOST else None
             if found is None:
@@ -137,7 +134,7 @@ class _Run:
         return True
 
     def _match(self, frame: Gaussians) -> tuple[NDArray[np.int32], float] | None:
-        """(n,) which Gaussian each row of a frame is, and the share of sure ones; None where too few are known."""
+        """Return (n,) which Gaussian each row is, and the share of sure ones; None where too few are known."""
         with np.errstate(over="ignore", invalid="ignore"):
             expected = replace(self._known, means=self._known.means + self._velocity)
         order, sure = match_rows(expected, frame)
@@ -170,21 +167,21 @@ class _Run:
         self._file, self._at = frame, number
 
     def orders(self) -> dict[int, NDArray[np.int32]]:
-        """(N,) rows of the file of each frame that does not have just these rows in just this order."""
+        """Return (N,) rows of the file of each frame that does not have just these rows in just this order."""
         count = len(self._known)
         found = {self.start + i: _inverse(ids, count) for i, ids in enumerate(self._ids)}
         return {frame: order for frame, order in found.items() if not np.array_equal(order, np.arange(count))}
 
 
 def _inverse(ids: NDArray[np.int32], count: int) -> NDArray[np.int32]:
-    """(count,) the row that each Gaussian is, from (n,) the Gaussian that each row is; NONE for those without one."""
+    """Return (count,) the row of each Gaussian, NONE where it has none, from (n,) the Gaussian of each row."""
     order = np.full(count, NONE, np.int32)
     order[ids] = np.arange(len(ids))
     return order
 
 
-def _alone(sequence: GaussianSequence) -> tuple[int, ...]:
-    """Frames between two changes of the number of rows, where there is more than one such; no named keyframes."""
+def _single_frames(sequence: GaussianSequence) -> tuple[int, ...]:
+    """Return frames between two changes of the number of rows, where there are several and no named keyframes."""
     breaks = {*sequence.breaks}
     ones = [start for start, stop in count_runs(sequence) if stop - start == 1 and not {start, stop} & breaks]
     return tuple(ones) if len(ones) > 1 and sequence.keyframes is None else ()

@@ -90,7 +90,7 @@ def measure_views(pictures: Iterable[tuple[Gaussians, Camera]], renderer: Render
 
 
 def _squares(active: RasterInputs[Floats], derivatives: RasterInputs[Floats]) -> NDArray[np.float64]:
-    """(6, N) squared derivatives by what is coded, summed over channels, from those by the activated attributes."""
+    """Return (6, N) squared derivatives by what is coded, summed over channels, from those by activated attributes."""
     means, quaternions, scales, opacity, sh = derivatives
     # A rotation by a small w after q adds (0, w) q / 2. These three directions and q are orthogonal, each with length
     # |q| / 2 for a unit w; the derivative has no part along q.

@@ -93,7 +93,7 @@ def find_front(subject: Subject, up: Vectors) -> Vectors:
 
 
 def _mirrors(at: Vectors, up: Vectors) -> tuple[Vectors, Vectors]:
-    """How much halves on both sides of mirrors that contain `up` differ, as a distance; and (H, 3) their normals."""
+    """Return how much both sides of mirrors that contain `up` differ, as a distance, and (H, 3) their normals."""
     (a, b), headings = _across(up), np.radians(np.arange(0, 180, 10))[:, None]
     normals = np.cos(headings) * a + np.sin(headings) * b
     away = at @ normals.T
@@ -138,7 +138,7 @@ def flatness(gaussians: Gaussians) -> NDArray[np.float32]:
 
 
 def _heaviest_slab(values: Vectors, weights: Vectors, heights: Vectors) -> tuple[float, float]:
-    """The interval with the most weight of `values` that is 3 % of the extent of `heights` wide."""
+    """Return the interval with the most weight of `values` that is 3 % of the extent of `heights` wide."""
     low, high = np.quantile(heights, [0.001, 0.999])
     finest = 4 * np.spacing(max(abs(low), abs(high), np.finfo(np.float32).tiny))  # the edges differ
     step = max(0.03 * (high - low) / 2, finest)

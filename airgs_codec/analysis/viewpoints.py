@@ -108,13 +108,13 @@ class Sample:
         return float(part[alpha > 0.9].sum()) / max(float(alpha.sum()), TINY)
 
     def _draw(self, camera: Camera, a: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
-        """(H, W) sums of two values of rows, at least 0, weighted as they are blended; and opacities."""
+        """Return (H, W) sums of two values of rows, at least 0, weighted as they are blended; and opacities."""
         sh = ((np.stack([a, b, b], axis=1)[:, None] - 0.5) / SH_C0).astype(np.float32)
         picture = cpu.blend(self.inputs._replace(sh=sh), camera, BLACK).picture
         return picture.rgb[..., 0], picture.rgb[..., 1], 1 - picture.transmittance
 
     def _angles(self, camera: Camera) -> tuple[Floats, Floats]:
-        """(n,) standard deviations across the direction of sight in radians, and (n,) distances in world units."""
+        """Return (n,) standard deviations across the line of sight in radians, and (n,) distances."""
         to = self.inputs.means - camera.position.astype(np.float32)
         x, y, z = to.T
         squares = np.einsum("ni,ni->n", to, to) + np.float32(TINY)
@@ -149,7 +149,7 @@ def _camera(position: Vector, direction: Vector, up: Vector, size: int, name: st
 
 
 def _search(gaussians: Gaussians) -> list[Pose]:
-    """Poses, tried at random and then closer and closer about the best of each neighbourhood; always the same."""
+    """Return poses tried at random, then ever closer about the best of each neighbourhood; always the same."""
     samples, rng = [Sample.of(gaussians, 4000)], np.random.default_rng(0)
     means = samples[0].inputs.means.astype(np.float64)
     low, high = np.quantile(means, [0.05, 0.95], axis=0)
@@ -173,7 +173,7 @@ def _search(gaussians: Gaussians) -> list[Pose]:
 
 
 def _best_distinct(poses: Sequence[Pose], count: int, gap: float) -> list[Pose]:
-    """The best poses, at most `count`, no two closer than `gap`: 1 is TURN_ANGLE, or half the distance to the scene."""
+    """Return the best poses, at most `count`, none closer than `gap`: 1 is TURN_ANGLE, or half the scene's distance."""
     chosen: list[Pose] = []
     left = sorted(poses, key=lambda pose: -pose.score)
     while left and len(chosen) < count:
@@ -243,7 +243,7 @@ def _find(frames: Sequence[Gaussians], up: Vector | None) -> FoundViews:
 
 
 def _find_places(frames: Sequence[Gaussians], middle: Gaussians) -> tuple[list[Pose], str]:
-    """Where a place was probably filmed from, the best first, or why that is unclear; neither for an object.
+    """Return where a place was probably filmed from, best first, or why that is unclear; neither for an object.
 
     The first ones only say where viewers begin; from the others, all over the place, they may look as well. Raises
     SceneError when no row can be seen.

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 from cyclopts.validators import Number
 
+from airgs_codec._report import Table
 from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import (
     FORMS,
@@ -34,7 +35,6 @@ EVERY_HELP, VIEWS_HELP = "only every N-th of the frames", f"cameras to compare f
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class Compare:
     a: str = required(f"the reference: a scene, or {PACKAGE}")
     b: str = required("what is compared with it, either as well")
@@ -42,9 +42,7 @@ class Compare:
     every: int = setting(1, EVERY_HELP, validator=Number(gte=1))
     rung: str | None = setting(None, "keyframe quality and level of the package, of B where both are", default="Q0+L0")
     views: Path | None = setting(None, VIEWS_HELP, default="those of A, B or a package's region, or an orbit")
-    output: Path | None = setting(
-        None, "folder for a picture of A, B and their worst difference", alias="-o", metavar="DIR"
-    )
+    output: Path | None = setting(None, "folder for a picture of A, B and the worst", alias="-o", metavar="DIR")
     json: bool = setting(False, "the same as JSON")
     baking: BakingOptions = field(default_factory=BakingOptions)
 
@@ -85,7 +83,6 @@ def _open_both(options: Compare) -> tuple[pictures.Side, pictures.Side]:
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class Rungs:
     package: str = required(PACKAGE)
     original: str = required("the sequence that it was made of")
@@ -105,10 +102,8 @@ def rungs(options: Rungs) -> int:
         raise ConfigError(f"{options.original}: expected {package.manifest.frames} frames, got {len(original)}")
     numbers = range(*parse_range(options.frames, len(original)), options.every)
     region, middle = package.manifest.region, original.load([len(original) // 2]).frames[0]
-    if options.views:
-        views = pictures.compared_views(cameras_from(package.origin, read_cameras(options.views)))
-    else:
-        views = draw_views(region, options.draws, CHECKING)
+    given = cameras_from(package.origin, read_cameras(options.views)) if options.views else ()
+    views = pictures.compared_views(given) or draw_views(region, options.draws, CHECKING)
     cameras = before_background(region, with_near_planes(views, middle))
     with Bar(options.json) as bar:
         rows = pictures.compare_rungs(package, original, numbers, cameras, bar)
@@ -116,5 +111,5 @@ def rungs(options: Rungs) -> int:
         say(json.dumps({"frames": list(numbers), "views": len(cameras), "rungs": rows}))
     else:
         say(f"{len(numbers)} frames in {len(cameras)} views; PSNR of the error pooled over pictures")
-        say(pictures.format_rungs(rows))
+        say(Table("", rows, pictures.RUNG_COLUMNS).to_text())
     return 0

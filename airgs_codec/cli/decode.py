@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -26,15 +25,10 @@ ROWS_NAME = "rows.npz"  # an array for each frame, named by its number
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class Decode:
     package: str = required(PACKAGE)
-    output: str = required(
-        "folder for the frames, 000000.ply and on, or a file whose name ends in a format", alias="-o", metavar="PLACE"
-    )
-    format: str | None = setting(
-        None, "form of the files", choices=KEYS, metavar="FORMAT", default="what the output's name ends in, or ply"
-    )
+    output: str = required("folder for 000000.ply and on, or a file that ends in a format", alias="-o", metavar="PLACE")
+    format: str | None = setting(None, "of the files", choices=KEYS, metavar="FORMAT", default="as PLACE ends, or ply")
     level: str = setting("L0", "delta level: L0, L1, … or its number")
     keyframe_quality: str = setting("Q0", "keyframe quality: Q0, Q1, … or its number")
     frames: str = setting(":", FRAMES_HELP, metavar="A:B", default="all")
@@ -46,10 +40,8 @@ def decode(options: Decode) -> int:
     """Decode a package to .ply or other splat files."""
     package = open_package(options.package)
     m = package.manifest
-    level, quality = (
-        m.levels[m.level_index(options.level)].id,
-        m.qualities[m.quality_index(options.keyframe_quality)].id,
-    )
+    level = m.levels[m.level_index(options.level)].id
+    quality = m.qualities[m.quality_index(options.keyframe_quality)].id
     start, stop = parse_range(options.frames, m.frames)
     target = choose_target(options.output, options.format, stop - start)
     folder = target.path if target.folder else target.path.parent

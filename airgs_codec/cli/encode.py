@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -65,35 +65,24 @@ BY_PRESET = {"default": replace, "quick": as_preview, "paper": as_in_paper}
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class Encode:
     scene: str = required(
         "frames (a folder or a file: .ply, compressed .ply, .spz, SOG, .splat, glTF), a clip (.splatv, .4dgs, "
         ".splat4d, Spacetime Gaussians .ply), either at s3://, gs://, az:// too, or a folder of multi-view pictures"
     )
     output: str | None = setting(None, f"a folder or {BUCKET}", alias="-o", metavar="PLACE", default="SCENE.airgs")
-    preset: str = setting(
-        "default",
-        "settings to begin with: quick makes no trial encodes, paper has its levels",
-        choices=tuple(BY_PRESET),
-    )
+    preset: str = setting("default", "quick makes no trial encodes, paper has its levels", choices=tuple(BY_PRESET))
     settings: Given = given(EncodeSettings, "encoder", ("quality", "group_frames", "margin"))
     plan: str | bool | None = setting(None, "alone: print what would be chosen, as JSON; with such a file: follow it")
-    track: bool | None = setting(
-        None, "first fit Gaussians that move to frames that share no rows", default="where the first frames share none"
-    )
+    track: bool | None = setting(None, "fit Gaussians to frames that share no rows", default="where the first do not")
     target_psnr: float | None = setting(None, "search for the quality that gives the top rung this PSNR", metavar="DB")
     target_de: float | None = setting(None, "the same for a mean colour difference CIEDE2000", metavar="ΔE")
     target_mbps: float | None = setting(None, "the same for a bit rate of playback", metavar="MBPS")
     views: Path | None = setting(None, f"cameras to measure with{FORMS}", default="beside the frames, else an orbit")
     fps: Fraction | None = setting(None, "frames a second", default="what the scene says, else 30", **FPS)
-    up: tuple[float, ...] | None = setting(
-        None, "direction that points up in the frames, x, -y, … or X,Y,Z; by default as their format has it", **AXIS
-    )
+    up: tuple[float, ...] | None = setting(None, "up in the frames, x, -y, … or X,Y,Z, else as their format", **AXIS)
     unit: float | None = setting(None, "with --up: metres that a unit of the frames is long", topic="which way is up")
-    transform: Path | None = setting(
-        None, "instead: a file of 3x4 or 4x4 numbers, to a world with y up in metres", topic="which way is up"
-    )
+    transform: Path | None = setting(None, "instead: 3x4 or 4x4 numbers, to y up in metres", topic="which way is up")
     follow: bool = setting(False, "encode group by group while frames are still being written")
     idle: float = setting(30.0, "seconds without a frame that end --follow, unless stdin is a pipe", topic="output")
     device: str = setting("auto", f"where video is trained and pictures are drawn{CUDA}", topic="work", **DEVICE)
@@ -107,7 +96,10 @@ class Encode:
 
 def encode(options: Encode) -> int:
     """Encode Gaussian frames as H.264 pictures and a DASH manifest; multi-view video is trained first."""
-    settings, plan = _settings(options), _plan(options)
+    settings, plan = _settings(options), None
+    if isinstance(options.plan, str):
+        expect_plain(Path(options.plan))
+        plan = Plan.from_json(Path(options.plan).read_bytes(), options.plan)
     _goal(options, 1)  # refuses impossible goals before any work
     expect_report(options.report)
     place = options.scene.rstrip("/") if is_address(options.scene) else Path(options.scene).resolve()
@@ -126,10 +118,8 @@ def encode(options: Encode) -> int:
     track, words = will_track(sequence, wanted, settings.rows)
     if words:
         warn(words)
-    with ExitStack() as stack:
-        bar = stack.enter_context(Bar(options.json))
-        work = stack.enter_context(options.workers.opened(bar))
-        stored = options.workers.work
+    stored = options.workers.work
+    with Bar(options.json) as bar, options.workers.opened(bar) as work, ExitStack() as stack:
         if track:
             models = Path(stored) if stored and not is_address(stored) else None
             sequence = stack.enter_context(tracked(sequence, open_renderer(options.device), work, models))
@@ -138,9 +128,8 @@ def encode(options: Encode) -> int:
             bar.close()
             say(chosen.to_json())
             return 0
-        done = publish(
-            sequence, target, settings, goal=goal, plan=plan, executor=work.executor, work=stored, progress=bar
-        )
+        how: Given = {"goal": goal, "executor": work.executor, "progress": bar}
+        done = publish(sequence, target, settings, plan=plan, work=stored, **how)
         if options.report:
             write_report(options.report, sequence, open_package(target), done, bar)
     for decision in done.manifest.decisions:
@@ -168,13 +157,6 @@ def _world(options: Encode) -> World | None:
     if unit is not None and not up:
         raise ConfigError("--unit: expected --up with it")
     return read_world(options.transform) if options.transform else world_from(up, unit) if up else None
-
-
-def _plan(options: Encode) -> Plan | None:
-    if not isinstance(options.plan, str):
-        return None
-    expect_plain(Path(options.plan))
-    return Plan.from_json(Path(options.plan).read_bytes(), options.plan)
 
 
 def _open(options: Encode) -> GaussianSequence:
@@ -273,15 +255,11 @@ def _group_line(done: PublishedGroup, as_json: bool) -> str:
 
 def _as_json(report: EncodeReport, target: str) -> dict[str, object]:
     m, rows = report.manifest, report.rows
-    return {
-        "package": target,
-        "frames": m.frames,
-        "bytes": m.media_bytes() + report.manifest_bytes,
-        "top_rung_bytes": m.bytes_of(m.rung_files(0, 0)) + report.manifest_bytes,
-        "seconds": {stage.about: round(stage.seconds, 3) for stage in report.stages()},
-        "rows": {"matched": rows.matched, "sure": rows.sure, "unmatched": rows.unmatched, "alone": rows.alone},
-        "repairs": [repair for group in m.groups for repair in group.repairs],
-    }
+    figures: Given = {"package": target, "frames": m.frames, "bytes": m.media_bytes() + report.manifest_bytes}
+    figures["top_rung_bytes"] = m.bytes_of(m.rung_files(0, 0)) + report.manifest_bytes
+    figures["seconds"] = {stage.about: round(stage.seconds, 3) for stage in report.stages()}
+    figures["rows"] = {name: getattr(rows, name) for name in ("matched", "sure", "unmatched", "alone")}
+    return figures | {"repairs": [repair for group in m.groups for repair in group.repairs]}
 
 
 def _as_words(report: EncodeReport, target: str) -> str:
@@ -289,11 +267,9 @@ def _as_words(report: EncodeReport, target: str) -> str:
     parts = ", ".join(f"{stage.about} {stage.seconds:.1f}" for stage in stages if stage.seconds >= 0.05)
     megabytes = (m.media_bytes() + report.manifest_bytes) / 1e6
     size = f"{m.frames} frames, {float(m.frames / m.fps):.2f} s, {megabytes:.2f} MB with all rungs"
-    return (
-        f"{format_ladder(m, report.manifest_bytes)}\n\n"
-        f"{target}: {size}; {sum(stage.seconds for stage in stages):.0f} s ({parts})\n"
-        f"play it: airgs-serve {target}; all tables: airgs-manifest inspect {target}"
-    )
+    took = f"{sum(stage.seconds for stage in stages):.0f} s ({parts})"
+    next_steps = f"play it: airgs-serve {target}; all tables: airgs-manifest inspect {target}"
+    return f"{format_ladder(m, report.manifest_bytes)}\n\n{target}: {size}; {took}\n{next_steps}"
 
 
 main = partial(run_program, "airgs-encode", encode)

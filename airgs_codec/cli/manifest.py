@@ -6,7 +6,7 @@ What a subcommand needs is imported when it runs, so that looking into a package
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import partial
 from pathlib import Path
 
@@ -31,7 +31,6 @@ from airgs_codec.package.region import world_words
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class Inspect:
     package: str = required(PACKAGE)
     plot: Path | None = setting(None, "write a PNG of the ladder and of bytes over time", metavar="FILE")
@@ -55,7 +54,6 @@ def inspect(options: Inspect) -> int:
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class Validate:
     package: str = required(PACKAGE)
     against: str | None = setting(None, "the original: measure the errors again", metavar="SEQUENCE")
@@ -91,7 +89,6 @@ POINT: Given = {"read": read_three(float, "X,Y,Z"), "metavar": "X,Y,Z", "allow_l
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class SetView:
     package: str = required(PACKAGE)
     up: tuple[float, ...] | None = setting(None, "direction that points up, x, -y, … or X,Y,Z", **AXIS)
@@ -116,7 +113,6 @@ def set_view(options: SetView) -> int:
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class ExportPage:
     packages: tuple[str, ...] = required(PACKAGE)
     output: Path = required("folder to write: new, empty, or one that this command wrote", alias="-o")
@@ -130,7 +126,7 @@ def export_page(options: ExportPage) -> int:
 
     with Bar() as bar:
         made = export(options.packages, options.output, title=options.title, address=options.address, progress=bar)
-    say("\n".join(f"{one.name}: {one.seen.words}" for one in made))
+    say("\n".join(f"{name}: {seen.words}" for name, seen in made.items()))
     say(f"{options.output}: to look at it, python3 -m http.server --directory {options.output}")
     return 0
 

@@ -7,14 +7,15 @@ in. `--help` lists the everyday options, `--help-all` all of them, by topic.
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import MISSING, Field, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict, TypeVar, dataclass_transform, get_type_hints
 
 from cyclopts import App, CycloptsError, Group, Parameter
 from cyclopts.validators import Number
@@ -41,7 +42,6 @@ Options = TypeVar("Options")
 ALL = "--help-all"
 ARGUMENTS = Group("Arguments", sort_key=0)
 COMMON = Group("Options", sort_key=1)
-UNIT_ENDINGS = ("_s", "_db")  # endings of names
 PARAMETER = ("alias", "allow_leading_hyphen", "choices", "help", "metavar", "name", "validator")  # of cyclopts
 
 PACKAGE = "a package: its folder, or its address, s3://, gs:// or az://"
@@ -60,11 +60,6 @@ def read_fraction(text: str) -> Fraction:
         raise ConfigError(f"expected a number or a fraction, got {text!r}") from error
 
 
-def read_rate(text: str) -> Fraction:
-    """Return frames a second. Raises ConfigError, SceneError for a number that is no rate."""
-    return frame_rate("frames a second", read_fraction(text))
-
-
 def read_three(kind: type, words: str) -> Callable[[str], tuple[Any, ...]]:
     """Return what reads three numbers of a kind, with commas; it raises ConfigError, with `words`, for other text."""
 
@@ -78,7 +73,8 @@ def read_three(kind: type, words: str) -> Callable[[str], tuple[Any, ...]]:
     return read
 
 
-FPS: Given = {"read": read_rate, "metavar": "FPS"}  # of options that are one
+FPS: Given = {"read": lambda text: frame_rate("frames a second", read_fraction(text)), "metavar": "FPS"}
+CLIP_FPS, CLIP_SECONDS = FPS | {"topic": "clips"}, {"read": read_fraction, "metavar": "S", "topic": "clips"}
 DEVICE: Given = {"choices": ("auto", "cpu", "cuda")}
 AXIS: Given = {"read": parse_up, "metavar": "AXIS", "allow_leading_hyphen": True}
 
@@ -91,8 +87,10 @@ def given(settings: type, topic: str, everyday: Collection[str] = (), name: str 
     return field(default_factory=dict, metadata={"settings": (settings, topic, everyday), "name": name})
 
 
+@dataclass_transform(kw_only_default=True, frozen_default=True)
 def as_options(kind: type[Options]) -> type[Options]:
-    """Return the dataclass `kind` with annotations that make its fields the parameters of a command."""
+    """Return `kind` as a dataclass, if it is none, with annotations that make its fields parameters of a command."""
+    kind = kind if is_dataclass(kind) else dataclass(frozen=True, kw_only=True)(kind)
     hints = get_type_hints(kind, include_extras=True)
     for one in fields(kind):  # type: ignore[arg-type]
         if "settings" in one.metadata:
@@ -126,27 +124,18 @@ def _option(one: Field[Any], hint: Any, topic: str | None) -> Any:
 
 def option_name(name: str) -> str:
     """Return the name of a field's option, as --player.buffer has it last: dashes, no unit."""
-    unit = next((unit for unit in UNIT_ENDINGS if name.endswith(unit)), "")
-    return name.removesuffix(unit).replace("_", "-")
+    return re.sub("_(s|db)$", "", name).replace("_", "-")
 
 
 def make_app(name: str, command: Callable[..., int] | None = None, about: str | None = None) -> App:
     """Return the program `name`, which does `command`; without one its commands are added to it."""
-    app = App(
-        name=name,
-        help=about,
-        version=__version__,
-        help_flags="--help",
-        help_format="plaintext",
-        result_action="return_value",
-        print_error=False,
-        exit_on_error=False,
-        group_arguments=ARGUMENTS,
-        group_commands=Group("Commands", sort_key=0, show=command is None),
-        default_parameter=Parameter(consume_multiple=True, name_transform=option_name),
-        help_epilogue=f"{ALL} lists every option, --version says which version this is.",
-        suppress_keyboard_interrupt=False,
-    )
+    how: Given = {"print_error": False, "exit_on_error": False, "suppress_keyboard_interrupt": False}
+    how |= {"result_action": "return_value", "help_flags": "--help", "help_format": "plaintext"}
+    how["default_parameter"] = Parameter(consume_multiple=True, name_transform=option_name)
+    how["help_epilogue"] = f"{ALL} lists every option, --version says which version this is."
+    commands = Group("Commands", sort_key=0, show=command is None)
+    groups: Given = {"group_arguments": ARGUMENTS, "group_commands": commands}
+    app = App(name=name, help=about, version=__version__, **groups, **how)
     if command is not None:
         app.default(command)
     return app
@@ -206,27 +195,19 @@ def parse_range(text: str, frames: int) -> tuple[int, int]:
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class BakingOptions:
     """How `open_sequence` reads a clip; None: as the file says, or else the default of its format."""
 
-    bake_fps: Fraction | None = setting(
-        None, "frames a second that a clip is baked to", default="what the file says, else 30", topic="clips", **FPS
-    )
-    duration: Fraction | None = setting(
-        None, "seconds of a clip whose file states none", default="5/3", topic="clips", read=read_fraction, metavar="S"
-    )
+    bake_fps: Fraction | None = setting(None, "frames a second of a clip", default="the file's, else 30", **CLIP_FPS)
+    duration: Fraction | None = setting(None, "seconds of a clip whose file states none", default="5/3", **CLIP_SECONDS)
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class WorkOptions:
     """Who does the work (docs/farm.md): processes of this machine, or a Dask cluster."""
 
     jobs: int = setting(1, "processes that share the work", validator=Number(gte=1))
-    work: str | None = setting(
-        None, f"where results stay, so that a run that was cut off goes on: a folder or {BUCKET}", metavar="PLACE"
-    )
+    work: str | None = setting(None, f"where results of a run stay to go on from: folder, {BUCKET}", metavar="PLACE")
     executor: str | None = setting(None, EXECUTOR, metavar="dask[:ADDRESS]", topic="work")
 
     def shared_by(self) -> str | None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 from airgs_codec._report import listed
@@ -38,19 +38,15 @@ from airgs_codec.play.study import StudySettings, format_study, run_study, study
 from airgs_codec.play.trace import DEFAULT_RTT_S, TRACE_ENDS, Link, Trace
 from airgs_codec.render.backend import open_renderer
 
-PAPER = ("paper", "paper-no-cliff", "paper-literal", "paper-literal-no-cliff")
-COMPARED = ("robust-mpc", *PAPER, "throughput", "bola", "oracle-frame")
+COMPARED = (DEFAULT_POLICY, *(name for name in POLICY_NAMES if name not in (DEFAULT_POLICY, "oracle-lp")))
 TRACES = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBPS or markov:SEED[:MBPS]"
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class Play:
     package: str = required(f"{PACKAGE}, or where a web server has it")
     trace: str | None = setting(None, f"rates of the link: {TRACES}")
-    policy: str = setting(
-        DEFAULT_POLICY, f"what chooses rungs; {', '.join(POLICY_NAMES)}, fixed:J (level J) or fixed:RUNG"
-    )
+    policy: str = setting(DEFAULT_POLICY, f"what chooses rungs; {', '.join(POLICY_NAMES)}, fixed:LEVEL or fixed:RUNG")
     rtt: float | None = setting(None, "round trip", metavar="MS", default=f"the trace's, else {1e3 * DEFAULT_RTT_S:g}")
     offset: float = setting(0.0, "where in the trace to begin", metavar="S", topic="link")
     scale: float = setting(1.0, "factor on the trace's rates", topic="link")
@@ -120,13 +116,8 @@ def _present(log: SessionLog, options: Play) -> None:
         with Bar(options.json) as bar:
             film(open_package(options.package), log, options.video, sequence, bar, open_renderer(options.device))
     if options.json:
-        more = {
-            "policy": log.policy,
-            "lost": log.lost,
-            "retried": log.retried,
-            "region": region_figures(log.offers.manifest.region),
-        }
-        say(to_json(log.metrics.as_dict() | more))
+        more = {"policy": log.policy, "lost": log.lost, "retried": log.retried}
+        say(to_json(log.metrics.as_dict() | more | {"region": region_figures(log.offers.manifest.region)}))
         return
     say(format_metrics(log))
     for name, path in (("report", options.report and options.report / "index.html"), ("film", options.video)):
@@ -138,18 +129,13 @@ def _compare(options: Play, rules: SessionSettings) -> int:
     single = {"player.budget": rules.budget, "report": options.report, "video": options.video}
     if given := [name for name, value in single.items() if value is not None]:
         raise ConfigError(f"--{given[0]}: expected a single session, got --compare")
-    folders = [
-        sorted(map(str, filter(Path.is_file, Path(place).iterdir()))) if Path(place).is_dir() else [place]
-        for place in options.traces
-    ]
-    if not folders or not all(folders):
+    places = {place: Path(place) for place in options.traces}
+    found = [sorted(map(str, filter(Path.is_file, at.iterdir()))) if at.is_dir() else [p] for p, at in places.items()]
+    if not found or not all(found):
         raise ConfigError("--compare: expected --traces with traces, or folders that are not empty")
-    settings = StudySettings(
-        tuple(filter(None, options.policies.split(","))),
-        tuple(itertools.chain(*folders)),
-        session=rules,
-        **{name: getattr(options, name) for name in ("offsets", "scale", "end", "rtt_s", "seed", "jobs")},
-    )
+    how = {name: getattr(options, name) for name in ("offsets", "scale", "end", "rtt_s", "seed", "jobs")}
+    policies = tuple(filter(None, options.policies.split(",")))
+    settings = StudySettings(policies, tuple(chain(*found)), session=rules, **how)
     with Bar(options.json) as bar:
         study = run_study(options.package, settings, bar)
     say(to_json(study_record(study)) if options.json else format_study(study))

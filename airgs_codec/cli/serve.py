@@ -6,7 +6,6 @@ import asyncio
 import resource
 import signal
 import socket
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from urllib.parse import quote
@@ -24,14 +23,11 @@ ANY_HOST = ("0.0.0.0", "::")
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class Serve:
     packages: tuple[Path, ...] = required(SERVED)
     host: str = setting("127.0.0.1", "address to listen at; 0.0.0.0: all")
     port: int = setting(8000, "port to listen at, 0: any free one")
-    certificate: Path | None = setting(
-        None, "certificate with its chain, for https with HTTP/2; needs --key", metavar="PEM"
-    )
+    certificate: Path | None = setting(None, "certificate chain, for https with HTTP/2; needs --key", metavar="PEM")
     key: Path | None = setting(None, "key of the certificate", metavar="PEM")
 
 
@@ -40,22 +36,19 @@ def serve(options: Serve) -> int:
     packages = Packages(list(options.packages))
     if bool(options.certificate) != bool(options.key):
         raise ConfigError("expected --certificate and --key together")
-    certificate = None
-    if options.certificate and options.key:
-        certificate = options.certificate, options.key
+    certificate = (options.certificate, options.key) if options.certificate and options.key else None
+    if certificate:
         check_certificate(*certificate)
     listening = listen(options.host, options.port)
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)  # open files that the system lets this process have
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     say(_greeting(packages, listening, "https" if certificate else "http"))
-    asyncio.run(_serve_until_signal(packages, listening, certificate))
+    asyncio.run(_serve(packages, listening, certificate))
     say("stopped")
     return 0
 
 
-async def _serve_until_signal(
-    packages: Packages, listening: socket.socket, certificate: tuple[Path, Path] | None
-) -> None:
+async def _serve(packages: Packages, listening: socket.socket, certificate: tuple[Path, Path] | None) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, field, replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -45,12 +45,16 @@ FIT_ITERATIONS = ("first_iterations", "keyframe_iterations", "frame_iterations")
 EFFORTS = {"quick": 0.4, "normal": 1.0, "high": 2.5}
 EFFORT_WORDS = ", ".join(f"{factor:g} ({name})" for name, factor in EFFORTS.items())
 COUNTS, SYNC = "FIRST,KEY,FRAME", "auto|off|FILE"
+SCENE: Given = {"topic": "scene"}
+ITERATIONS_HELP = f"of a first frame, by default at least {FIRST_A_VIEW} a view, a keyframe and any other frame"
+USUAL_ITERATIONS = f"{FIRST},{DEFAULTS.keyframe_iterations},{DEFAULTS.frame_iterations}"
+ITERATIONS: Given = {"default": USUAL_ITERATIONS, "metavar": COUNTS, "read": read_three(int, COUNTS)}
+EVERYDAY = ("max_size", "background", "budget", "max_drop_db", "group_frames")
 NOTED_DB = 0.2  # that held-out views gain by matching their exposure, from which a frame says so
 PAGE_SHARE = 10  # times as long as it takes to write a page is trained before the next one
 
 
 @as_options
-@dataclass(frozen=True, kw_only=True)
 class Train:
     scene: Path = required(
         "folder with transforms.json, train_meta.json (Panoptic), image_white_undistortion/ (HiFi4G), COLMAP's sparse/ "
@@ -58,33 +62,15 @@ class Train:
     )
     output: Path | None = setting(None, "model folder", alias="-o", metavar="DIR", default="SCENE.gaussians")
     resume: bool = setting(False, "go on with the run in the model folder")
-    preset: str = setting(
-        TRAIN_PRESETS[0],
-        "settings to begin with: paper has the AirGS paper's method and constants",
-        choices=TRAIN_PRESETS,
-    )
+    preset: str = setting(TRAIN_PRESETS[0], "paper: the AirGS paper's method and constants", choices=TRAIN_PRESETS)
     frames: str = setting(":", FRAMES_HELP, metavar="A:B", default="all")
     fps: Fraction | None = setting(None, "frames a second", default="what the scene says, else 30", **FPS)
-    hold_out: str | None = setting(
-        None, "test cameras, with commas, or none", metavar="NAMES", default="the scene's, else one in eight"
-    )
+    hold_out: str | None = setting(None, "test cameras, or none", metavar="NAMES", default="the scene's, or one in 8")
     effort: str = setting("normal", f"iterations of every frame, times {EFFORT_WORDS}", choices=tuple(EFFORTS))
-    iterations: tuple[int, ...] | None = setting(
-        None,
-        f"iterations of a first frame, by default at least {FIRST_A_VIEW} a view, a keyframe and any other frame",
-        default=f"{FIRST},{DEFAULTS.keyframe_iterations},{DEFAULTS.frame_iterations}",
-        metavar=COUNTS,
-        read=read_three(int, COUNTS),
-    )
-    settings: Given = given(
-        TrainSettings, "method", ("max_size", "background", "budget", "max_drop_db", "group_frames")
-    )
-    near: float | None = setting(
-        None, "hide Gaussians nearer to a camera, in world units", default="the scene's, else 0.01", topic="scene"
-    )
-    sync: str = setting(
-        AUTO, "match cameras by what moves, or by JSON of how many frames each is late", metavar=SYNC, topic="scene"
-    )
+    iterations: tuple[int, ...] | None = setting(None, ITERATIONS_HELP, **ITERATIONS)
+    settings: Given = given(TrainSettings, "method", EVERYDAY)
+    near: float | None = setting(None, "hide what is nearer, in world units", default="the scene's, else 0.01", **SCENE)
+    sync: str = setting(AUTO, "match cameras by what moves, or JSON of frames each is late", metavar=SYNC, **SCENE)
     device: str = setting("auto", f"where it runs{CUDA}", **DEVICE)
     report: Path | None = setting(None, "folder for a page with curves, pictures and error maps", metavar="DIR")
     json: bool = setting(False, "print the record as JSON instead of a line a frame")
@@ -211,17 +197,11 @@ def summary(model: ModelFolder) -> dict[str, Any]:
 
     frames = model.record.frames
     held_out = [f.held_out_psnr for f in frames if f.held_out_psnr is not None]
-    return {
-        "model": str(model.folder),
-        "frames": [asdict(f) for f in frames],
-        "keyframes": model.record.keyframes(),
-        "psnr_definition": PSNR_DEFINITION,
-        "psnr": fmean(f.psnr for f in frames),
-        "held_out_psnr": fmean(held_out) if held_out else None,
-        "held_out_worst": min(held_out, default=None),
-        "seconds": sum(f.seconds for f in frames),
-        "warnings": model.record.warnings(),
-    }
+    s: Given = {"model": str(model.folder), "frames": [asdict(f) for f in frames]}
+    s |= {"keyframes": model.record.keyframes(), "psnr_definition": PSNR_DEFINITION}
+    s["psnr"] = fmean(f.psnr for f in frames)
+    s |= {"held_out_psnr": fmean(held_out) if held_out else None, "held_out_worst": min(held_out, default=None)}
+    return s | {"seconds": sum(f.seconds for f in frames), "warnings": model.record.warnings()}
 
 
 def _as_words(model: ModelFolder, report: Path | None) -> str:

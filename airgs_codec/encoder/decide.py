@@ -17,7 +17,7 @@ from airgs_codec.encoder.survey import Survey
 from airgs_codec.encoder.target import DELTA_E, Goal, search_quality, weigh_colours
 from airgs_codec.encoder.views import choose_views
 from airgs_codec.package.region import region_words
-from airgs_codec.progress import Progress, Stopwatch, silent, told
+from airgs_codec.progress import Progress, Stopwatch, as_reporter, silent
 from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
@@ -39,7 +39,7 @@ def decide(
     """
     sequence = argument("sequence", sequence, GaussianSequence, "an open sequence or the path of one", open_sequence)
     with closing(hold_frames(sequence)) as held:
-        return choose(order_rows(held, settings.rows, told(progress)), settings, goal, told(progress))[0]
+        return choose(order_rows(held, settings.rows, as_reporter(progress)), settings, goal, as_reporter(progress))[0]
 
 
 def choose(

@@ -190,7 +190,7 @@ def _lost(sequence: GaussianSequence, start: int, stop: int) -> bool:
     if any(frame in sequence.orders for frame in range(start, stop)):
         return True
     before, here = (sequence.read(number) for number in (start - 1, start))
-    return len(before) != len(here) or compare_order(before, here)[0] != IN_ORDER
+    return len(before) != len(here) or compare_order(before, here) != IN_ORDER
 
 
 def _published(m: Manifest, sequence: GaussianSequence, notes: list[str]) -> PublishedGroup:

@@ -63,7 +63,7 @@ def look_at_frames(sequence: GaussianSequence, progress: Progress = silent) -> t
     for number in range(len(sequence)):
         frame = sequence.read(number)
         if before is not None and number not in starts:
-            in_order &= compare_order(before, frame)[0] == IN_ORDER
+            in_order &= compare_order(before, frame) == IN_ORDER
         reaches.append(_reach(frame))
         before = frame
         progress("frames", number + 1, len(sequence))

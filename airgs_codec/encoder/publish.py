@@ -33,7 +33,7 @@ from airgs_codec.package.region import first_views
 from airgs_codec.package.tables import MAX_POSTER_BYTES, MAX_POSTER_SIDE, Group
 from airgs_codec.places.place import Folder, Storage, place_at
 from airgs_codec.places.whole import expect_folder_name
-from airgs_codec.progress import Progress, Stopwatch, silent, told
+from airgs_codec.progress import Progress, Stopwatch, as_reporter, silent
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import Renderer, open_renderer
 from airgs_codec.scene.camera import with_pixels
@@ -98,7 +98,7 @@ def encode(
         if plan is not None:
             raise ConfigError("goal: expected none with a plan, whose quality is chosen")
     expect_folder_name(path_argument("path", path), PACKAGE_ENDING)
-    jobs, sequence = Work.of(executor, work, told(progress)), hold_frames(sequence)
+    jobs, sequence = Work.of(executor, work, as_reporter(progress)), hold_frames(sequence)
     with staged_package(place_at(path)) as stage, closing(sequence):
         watch, place = Stopwatch(), Folder(stage)
         surveys: Surveys = {}

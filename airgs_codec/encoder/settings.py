@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from airgs_codec._settings import available_cores, computed_setting, documented, setting
+from airgs_codec._settings import available_cores, documented, setting
 from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
 from airgs_codec.analysis.rows import AUTO, ROWS
 from airgs_codec.coding.motion import StepSettings
@@ -103,7 +103,7 @@ class EncodeSettings:
         default=",".join(level.words for level in DEFAULT_LEVELS),
     )
     tiers: tuple[float, ...] = setting(DEFAULT_TIERS, "share of the Gaussians in each keyframe tier, summing to 1")
-    shares: Shares = computed_setting(
+    shares: Shares = setting(
         tuple,
         "(factor on the steps, share of the updates to withhold), ascending; calibration finds them",
         option=False,
@@ -111,9 +111,7 @@ class EncodeSettings:
     keyframe_factors: tuple[float, ...] = setting(
         (1.0, 3.0), "for each keyframe quality a factor on the keyframe steps; cells of positions grow with it"
     )
-    steps: StepSettings = computed_setting(
-        StepSettings, "quantiser steps at quality 1; calibration starts there", option=False
-    )
+    steps: StepSettings = setting(StepSettings, "quantiser steps at quality 1; calibration starts there", option=False)
     segment_s: float = setting(1.0, "longest delta segment, in seconds")
     group_frames: int = setting(
         DEFAULT_GROUP_FRAMES,
@@ -175,7 +173,7 @@ class EncodeSettings:
         64, "most pictures that measure quality, spread over all frames; fewer where 0.15 dB are sure; 0: none"
     )
     preset: str = setting(DEFAULT_PRESET, "x264 preset", name="x264-preset", choices=PRESETS)
-    threads: int = computed_setting(
+    threads: int = setting(
         available_cores,
         "representations of a group encoded at the same time; the bytes are the same",
         default="one a core, shared by --jobs",

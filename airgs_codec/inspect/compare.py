@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -31,7 +32,7 @@ from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.region import CHECKING, background_of, draw_views, from_origin
 from airgs_codec.package.tables import Region, RungQuality
 from airgs_codec.places.place import is_address, place_at
-from airgs_codec.progress import Progress, silent, told
+from airgs_codec.progress import Progress, as_reporter, silent
 from airgs_codec.render import Camera
 from airgs_codec.render.compare import View, draw_once, draw_still
 from airgs_codec.render.compare import compare as compare_views
@@ -46,6 +47,7 @@ REGION_VIEWS = 8  # that are drawn from a region
 LABEL = 36  # pixels above each picture, for two lines
 LEAST_WIDTH = 320  # pixels; smaller pictures are shown with larger pixels, so that labels have room
 MOST_GAIN = 64
+RUNG_COLUMNS: Columns = {"rung": ("rung", ""), **QUALITY, "claimed": ("claimed dB", ".2f")}
 SIDE_COLUMNS: Columns = {
     "side": ("", ""), "name": ("", ""), "rung": ("rung", ""), "frames": ("frames", "d"), "fps": ("fps", "g"),
     "sh_degree": ("SH degree", ""), "bytes_per_frame": ("bytes a frame", ",.0f"),
@@ -119,37 +121,19 @@ def open_side(
         package, m = scene, scene.manifest
         keyframe_quality, _, level = (rung or "Q0+L0").partition("+")
         q, j = m.quality_index(keyframe_quality), m.level_index(level)
-        return Side(
-            name=name,
-            rung=f"{m.qualities[q].id}+{m.levels[j].id}",
-            frames=m.frames,
-            fps=m.fps,
-            sh_degree=m.sh_degree,
-            bytes_per_frame=(package.manifest_bytes + m.bytes_of(m.rung_files(q, j))) / m.frames,
-            origin=package.origin,
-            background=background_of(m.region),
-            read=lambda frames: rung_frames(package, frames, m.levels[j].id, m.qualities[q].id),
-            region=m.region,
-            claimed=quality_of(m, j, q),
-        )
+        rung, size = f"{m.qualities[q].id}+{m.levels[j].id}", package.manifest_bytes + m.bytes_of(m.rung_files(q, j))
+        read = partial(rung_frames, package, level=m.levels[j].id, keyframe_quality=m.qualities[q].id)
+        stats, placed = (m.frames, m.fps, m.sh_degree, size / m.frames), (package.origin, background_of(m.region))
+        return Side(name, rung, *stats, *placed, read, region=m.region, claimed=quality_of(m, j, q))
     scene = argument(name, scene, GaussianSequence, "an open sequence or package, or the path of one")
     if rung is not None:
         raise ConfigError(f"{name}: expected a package for the rung {rung}, got a scene")
     stated = scene.clip or (scene.folder / SETTINGS_NAME).is_file() or scene.fps != DEFAULT_FPS
     held = [header.bytes for header in scene.headers]  # of frames that are in no file
-    return Side(
-        name=name,
-        rung=None,
-        frames=len(scene),
-        fps=scene.fps if stated else None,
-        sh_degree=scene.sh_degree,
-        bytes_per_frame=sum(map(_size, set(scene.paths)) if scene.paths[0].exists() else held) / len(scene),
-        origin=scene.origin,
-        background=scene.background,
-        read=lambda frames: frames_of(scene, frames),
-        cameras=scene.cameras,
-        axes=scene.axes,
-    )
+    total: float = sum(map(_size, set(scene.paths)) if scene.paths[0].exists() else held)
+    rates = scene.fps if stated else None, scene.sh_degree, total / len(scene)
+    behind, read = (scene.origin, scene.background), partial(frames_of, scene)
+    return Side(name, None, len(scene), *rates, *behind, read, scene.cameras, scene.axes)
 
 
 def _size(path: Path) -> int:
@@ -261,14 +245,8 @@ def compare_rungs(
     views = [(number, camera) for number in frames for camera in cameras]
     found = compare_streams(rung_streams(package, frames), frames_of(original, frames), views, Difference.of, progress)
     _count_blank(next(iter(found.values())))
-    return [
-        {"rung": rung.name, **dataclasses.asdict(pool(found[rung.name])), "claimed": rung.psnr}
-        for rung in package.rungs
-    ]
-
-
-def format_rungs(rows: Sequence[Row]) -> str:
-    return Table("", rows, {"rung": ("rung", ""), **QUALITY, "claimed": ("claimed dB", ".2f")}).to_text()
+    measured = {name: dataclasses.asdict(pool(some)) for name, some in found.items()}
+    return [{"rung": rung.name, **measured[rung.name], "claimed": rung.psnr} for rung in package.rungs]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -287,7 +265,7 @@ class Comparison:
     gaussians: tuple[tuple[int, int], tuple[int, int]]  # of A and of B: fewest and most rows of a frame
     quality: Quality  # of pictures that show something
     pictures: tuple[ComparedPicture, ...]  # all, frame after frame
-    blank: int = 0  # of them, which show nothing of either
+    blank: int  # of them, which show nothing of either
 
     __repr__ = brief
 
@@ -321,7 +299,7 @@ def compare(
         raise ConfigError(f"frames: expected some of {both}, got {numbers}")
     if cameras is not None and not cameras:
         raise ConfigError("cameras: expected at least one")
-    return compare_two(a, b, numbers, shared_views(a, b, cameras or ())[1], told(progress))
+    return compare_two(a, b, numbers, shared_views(a, b, cameras or ())[1], as_reporter(progress))
 
 
 def compare_two(a: Side, b: Side, frames: range, cameras: Sequence[Camera], progress: Progress = silent) -> Comparison:
@@ -335,16 +313,10 @@ def compare_two(a: Side, b: Side, frames: range, cameras: Sequence[Camera], prog
     rows: tuple[list[int], list[int]] = ([], [])
     reference, stream = (_counted(side.read(frames), count) for side, count in zip((a, b), rows, strict=True))
     differences = compare_streams({b.name: stream}, reference, views, Difference.of, progress)[b.name]
-    return Comparison(
-        frames=tuple(frames),
-        cameras=tuple(camera.name for camera in cameras),
-        gaussians=((min(rows[0]), max(rows[0])), (min(rows[1]), max(rows[1]))),
-        quality=pool(differences),
-        pictures=tuple(
-            ComparedPicture(*view, psnr(difference.mse)) for view, difference in zip(views, differences, strict=True)
-        ),
-        blank=_count_blank(differences),
-    )
+    blank, names = _count_blank(differences), tuple(camera.name for camera in cameras)
+    pictures = tuple(ComparedPicture(*view, psnr(d.mse)) for view, d in zip(views, differences, strict=True))
+    counts = (min(rows[0]), max(rows[0])), (min(rows[1]), max(rows[1]))
+    return Comparison(tuple(frames), names, counts, pool(differences), pictures, blank)
 
 
 def _counted(frames: Iterator[Gaussians], rows: list[int]) -> Iterator[Gaussians]:
@@ -361,16 +333,11 @@ def comparison_json(a: Side, b: Side, result: Comparison) -> dict[str, Any]:
         | {"claimed": side.claimed and dataclasses.asdict(side.claimed)}
         for side, rows in zip((a, b), result.gaussians, strict=True)
     )
-    return {
-        "reference": reference,
-        "compared": compared,
-        "frames": list(result.frames),
-        "cameras": list(result.cameras),
-        "blank": result.blank,
-        "quality": dataclasses.asdict(result.quality),
-        "worst": {"frame": worst.frame, "camera": worst.camera.name, "psnr": worst.psnr}
-        | {"position": worst.camera.position.tolist()},
-    }
+    shown: Row = {"frame": worst.frame, "camera": worst.camera.name, "psnr": worst.psnr}
+    shown["position"] = worst.camera.position.tolist()
+    record: Row = {"reference": reference, "compared": compared, "frames": list(result.frames)}
+    record |= {"cameras": list(result.cameras), "blank": result.blank}
+    return record | {"quality": dataclasses.asdict(result.quality), "worst": shown}
 
 
 def format_two(record: Mapping[str, Any], views: str, notes: Iterable[str] = ()) -> str:

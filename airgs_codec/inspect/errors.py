@@ -27,14 +27,12 @@ from airgs_codec.scene.frames import turn_least
 from airgs_codec.scene.gaussians import Gaussians, mean_frame, mix_rows, to_matrices
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
+Original = GaussianSequence | str | Path
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Rows = NDArray[np.intp]
 CLOSEST = 4  # originals of which a row may be one
-FEATURE_WIDTHS = (
-    3,
-    3,
-    9,
-    1,
-    3,
-)  # by which rows are matched: rotations as matrices, of colours DC
+FEATURE_WIDTHS = (3, 3, 9, 1, 3)  # by which rows are matched: rotations as matrices, of colours DC
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +48,7 @@ class Measured:
 
 
 def input_rows(
-    package: Package | str | Path,
-    original: GaussianSequence | str | Path,
-    start: int,
-    stop: int,
-    *,
-    level: str | int = "L0",
+    package: Package | str | Path, original: Original, start: int, stop: int, *, level: str | int = "L0"
 ) -> Iterator[NDArray[np.int32]]:
     """Yield for each frame that `decode_frames` gives which row of the original's frame every row is, (N,).
 
@@ -121,16 +114,14 @@ def _held(frames: list[Gaussians]) -> list[Gaussians]:
     return out
 
 
-def _match(
-    package: Package, index: int, group: Group, base: Canonical, frames: list[Gaussians]
-) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+def _match(p: Package, index: int, group: Group, base: Canonical, frames: list[Gaussians]) -> tuple[Rows, Flags]:
     """Return the original of every row, (N,), and (N,) False where more rows have it than there are such originals."""
-    m, frames = package.manifest, _held(frames)
+    m, frames = p.manifest, _held(frames)
     picks = sorted({0, len(frames) // 2, len(frames) - 1})
     decoded: list[Gaussians] = []
     for number in (group.start + pick for pick in picks):
         segment = m.segment_at(number)
-        decoded += decode_segment(package, segment, base, 0, [number - m.segments[segment].start])
+        decoded += decode_segment(p, segment, base, 0, [number - m.segments[segment].start])
     scale = float(np.median(base.motion_units)) * group.delta_steps.means
     promised, still = _promised(group, base), base.depths == STATIC
     features = _features([frames[pick] for pick in picks], group, scale)
@@ -144,9 +135,7 @@ def _match(
     return rows, (taken <= twins)[twin[rows]]
 
 
-def _nearest(
-    originals: NDArray[np.float64], found: NDArray[np.float64], promised: NDArray[np.float64]
-) -> NDArray[np.intp]:
+def _nearest(originals: Floats, found: Floats, promised: Floats) -> Rows:
     """Return the original of each row found, (n, 19 F): the first candidate within what is promised, (n, 19)."""
     _, near = cKDTree(originals).query(found, range(1, 1 + min(CLOSEST, len(originals))), workers=-1)
     allowed = np.tile(promised, originals.shape[1] // promised.shape[1])
@@ -154,7 +143,7 @@ def _nearest(
     return np.asarray(np.take_along_axis(near, within.argmax(1)[:, None], axis=1)[:, 0])
 
 
-def _promised(group: Group, base: Canonical) -> NDArray[np.float64]:
+def _promised(group: Group, base: Canonical) -> Floats:
     """Return what each feature may err by, (N, 19): of rows with deltas in the top level, of others in their keyframe.
 
     Colours have it from all C channels; a keyframe that is no difference promises nothing of means.
@@ -175,7 +164,7 @@ def _promised(group: Group, base: Canonical) -> NDArray[np.float64]:
     return promised
 
 
-def _features(frames: list[Gaussians], group: Group, scale: float) -> NDArray[np.float64]:
+def _features(frames: list[Gaussians], group: Group, scale: float) -> Floats:
     """Return (N, 19 F) in steps; rotations as matrices: no half turns, they differ by sqrt(2) times small angles."""
     steps = group.delta_steps
     each = []
@@ -187,7 +176,7 @@ def _features(frames: list[Gaussians], group: Group, scale: float) -> NDArray[np
 
 
 def _keyframes(
-    package: Package, index: int, group: Group, base: Canonical, original: Gaussians, sure: NDArray[np.bool_]
+    package: Package, index: int, group: Group, base: Canonical, original: Gaussians, sure: Flags
 ) -> Iterator[Measured]:
     m = package.manifest
     layout, against, compared = keyframe_layout(group), m.base_of(index), sure
@@ -208,24 +197,22 @@ def _keyframes(
                 yield from _measured(where, layout, tier.qualities[q].max_error, errors, compared[part])
 
 
-def _deltas(
-    package: Package, index: int, base: Canonical, originals: list[Gaussians], sure: NDArray[np.bool_]
-) -> Iterator[Measured]:
-    m, quality = package.manifest, 0
+def _deltas(p: Package, index: int, base: Canonical, originals: list[Gaussians], sure: Flags) -> Iterator[Measured]:
+    m, quality = p.manifest, 0
     group = m.groups[index]
     values = delta_channels(originals, base, group.delta_steps)
     steps = DELTA.steps(group.delta_steps, m.colour_channels)
     for j, level in enumerate(m.levels):
         if level.quality != quality:  # deltas are differences to the keyframe quality of their level
             quality = level.quality
-            base = decode_canonical(package, index, quality)
+            base = decode_canonical(p, index, quality)
             values = delta_channels(originals, base, group.delta_steps)
         rows = np.flatnonzero((base.depths >= j) & (base.depths != STATIC))
         worst = np.zeros((len(steps), len(rows)))
         sent = [s for s in m.segments_of(index) if m.delta_files(s, j)]
         for s in sent:
             segment = m.segments[s]
-            for t, delta in enumerate(decode_pictures(package, s, j, range(segment.stop - segment.start))):
+            for t, delta in enumerate(decode_pictures(p, s, j, range(segment.stop - segment.start))):
                 decoded = delta.values(slice(None))
                 shown = [_shown(v, base, rows) for v in (values[segment.start - group.start + t][:, rows], decoded)]
                 worst = np.maximum(worst, np.abs(shown[0] - shown[1]))
@@ -241,9 +228,7 @@ def _shown(channels: NDArray[np.floating], base: Canonical, rows: NDArray[np.int
     return out
 
 
-def _measured(
-    where: str, layout: Layout, bounds: list[float], errors: NDArray[np.float64], sure: NDArray[np.bool_]
-) -> Iterator[Measured]:
+def _measured(where: str, layout: Layout, bounds: list[float], errors: Floats, sure: Flags) -> Iterator[Measured]:
     places = layout.attribute_index(len(errors))
     for k, (name, bound) in enumerate(zip(layout.attributes, bounds, strict=True)):
         error = float(errors[places == k][:, sure].max(initial=0.0))

@@ -14,7 +14,6 @@ from airgs_codec.media.image import write_png
 from airgs_codec.package.package import Package
 from airgs_codec.play.report import beaten_words
 from airgs_codec.progress import Progress, silent
-from airgs_codec.render import Camera
 from airgs_codec.scene.camera import resized
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -34,33 +33,27 @@ def write_report(
     """
     a, b, m = open_side(given, name="given"), open_side(package, name="encoded"), package.manifest
     words, views = shared_views(a, b)
-    result = compare_two(a, b, range(a.frames), [_small(view) for view in views[:REPORT_VIEWS]], progress)
+    small = [resized(v, min(1.0, (REPORT_PIXELS / (v.width * v.height)) ** 0.5)) for v in views[:REPORT_VIEWS]]
+    result = compare_two(a, b, range(a.frames), small, progress)
     s = summarise(m, done.manifest_bytes)
     top, quality, worst, sizes = s["rungs"][0], result.quality, result.worst, s["top_rung_bytes"]
     claim = f", and is measured at {top['psnr']:.1f} dB, good to {top['error']:.1f} dB" if m.measured else ""
     far = ", far below the others" if worst.psnr < quality.psnr - UNEVEN_DB else ""
     largest = max(sizes, key=lambda kind: sizes[kind])
+    on_ladder = {f"{r['keyframe']}+{r['delta']}": r["best"] for r in s["rungs"] if m.measured}
     answer = {
         "good": f"The top rung takes {top['bytes_per_frame'] / 1e3:.1f} kB a frame, {top['mean_bps'] / 1e6:.2f} Mbit/s"
         f"{claim}. It shows the frames that were given at {quality.psnr:.1f} dB in "
         f"{words.removesuffix(f' of {a.name}')}.",
         "wrong": f"Frame {worst.frame} is the worst with {worst.psnr:.1f} dB in one picture{far}. Most bytes, "
         f"{100 * sizes[largest] / sum(sizes.values()):.0f} %, are {largest}.",
-        "useless": beaten_words({f"{r['keyframe']}+{r['delta']}": r["best"] for r in s["rungs"] if m.measured})
-        or "Nothing.",
+        "useless": beaten_words(on_ladder) or "Nothing.",
         "change": advice(done) or "Nothing.",
     }
+    chart, name = "What viewers fetch and see; grey: no player should.", f"frame-{worst.frame:06d}.png"
     pictures = [
-        Picture(
-            "",
-            "What viewers fetch and see; grey: no player should.",
-            lambda figure: plot_rungs(s["rungs"], figure.subplots()),
-        ),
-        Picture(
-            f"frame-{worst.frame:06d}.png",
-            "The worst picture.",
-            save=lambda path: write_png(path, side_by_side(a, b, worst)),
-        ),
+        Picture("", chart, lambda figure: plot_rungs(s["rungs"], figure.subplots())),
+        Picture(name, "The worst picture.", save=lambda path: write_png(path, side_by_side(a, b, worst))),
     ]
     stages = {
         "about": ("part of the work", ""), "seconds": ("seconds", ".1f"), "chosen": ("what came of it", ""),
@@ -72,10 +65,6 @@ def write_report(
         Table("What was decided", [{"decision": line} for line in m.decisions]),
     ]
     return Page(answered(answer, pictures, *tables), "What was encoded").write(folder)
-
-
-def _small(camera: Camera) -> Camera:
-    return resized(camera, min(1.0, (REPORT_PIXELS / (camera.width * camera.height)) ** 0.5))
 
 
 def advice(done: EncodeReport) -> str:

@@ -37,10 +37,6 @@ def kilobytes(size: float) -> str:
     return f"{size / 1e3:.2f}"
 
 
-def megabits(rate: float) -> str:
-    return f"{rate / 1e6:.2f}"
-
-
 QUALITY: Columns = {
     "psnr": ("PSNR dB", ".2f"), "low": ("worst 5 %", ".1f"), "ssim": ("SSIM", ".4f"), "delta_e": ("ΔE", ".2f")
 }  # fmt: skip
@@ -49,7 +45,8 @@ COLUMNS: Columns = QUALITY | {
     "segments": ("segments", ""), "tier": ("keyframe tier", ""), "quality": ("quality", ""), "id": ("level", ""),
     "rung": ("rung", ""), "best": ("", lambda best: "*" * best), "gaussians": ("Gaussians", span),
     "factor": ("steps", "x{:g}".format), "pruned": ("pruned", lambda share: f"{100 * share:g} %"),
-    "bytes_per_frame": ("kB/frame", kilobytes), "mean_bps": ("Mbit/s", megabits), "peak_bps": ("peak", megabits),
+    "bytes_per_frame": ("kB/frame", kilobytes), "mean_bps": ("Mbit/s", lambda rate: f"{rate / 1e6:.2f}"),
+    "peak_bps": ("peak", lambda rate: f"{rate / 1e6:.2f}"),
 }  # fmt: skip
 GROUP_COLUMNS = ("group", "frames", "gaussians", "base", "static", "segments")
 KEYFRAME_COLUMNS = ("tier", "quality", "gaussians", "factor", "bytes_per_frame")
@@ -68,32 +65,21 @@ def summarise(m: Manifest, manifest_bytes: int) -> Row:
     players choose it (`on_ladder`).
     """
     sound = sum(group.sound.bytes for group in m.groups if group.sound)
-    return {
-        "frames": m.frames,
-        "fps": float(m.fps),
-        "duration_s": float(m.frames / m.fps),
-        "sh_degree": m.sh_degree,
-        "package_bytes": manifest_bytes + m.media_bytes(),
-        "region": region_figures(m.region),
-        "world": m.world and dataclasses.asdict(m.world),
-        "origin": list(m.origin or ()),
-        "background": list(m.region.background or ()),
-        "views": dataclasses.asdict(m.views),
-        "groups": [
-            {"frames": [g.start, g.stop], "gaussians": g.count, "static": g.static, "unused": g.unused}
-            | {"segments": len(g.segments), "base": g.base}
-            for g in m.groups
-        ],
-        "keyframes": [_keyframe(m, t, q) for t in range(m.tiers) for q in range(len(m.qualities))],
-        "levels": [_level(m, j) for j in range(len(m.levels))],
-        "rungs": rung_rows(m, manifest_bytes),
-        "sound": m.sound and {"form": LAYOUTS[m.sound.channels], "mean_bps": _rate(m, sound)},
-        "top_rung_bytes": bytes_by_kind(m, manifest_bytes),
-        "left_out": describe_left_out(m),
-        "repairs": [line for group in m.groups for line in group.repairs],
-        "decisions": list(m.decisions),
-        "attribution": m.attribution,
-    }
+    s: Row = {"frames": m.frames, "fps": float(m.fps), "duration_s": float(m.frames / m.fps), "sh_degree": m.sh_degree}
+    s |= {"package_bytes": manifest_bytes + m.media_bytes(), "region": region_figures(m.region)}
+    s |= {"world": m.world and dataclasses.asdict(m.world), "origin": list(m.origin or ())}
+    s |= {"background": list(m.region.background or ()), "views": dataclasses.asdict(m.views)}
+    s["groups"] = [
+        {"frames": [g.start, g.stop], "gaussians": g.count, "static": g.static, "unused": g.unused}
+        | {"segments": len(g.segments), "base": g.base}
+        for g in m.groups
+    ]
+    s["keyframes"] = [_keyframe(m, t, q) for t in range(m.tiers) for q in range(len(m.qualities))]
+    s |= {"levels": [_level(m, j) for j in range(len(m.levels))], "rungs": rung_rows(m, manifest_bytes)}
+    s["sound"] = m.sound and {"form": LAYOUTS[m.sound.channels], "mean_bps": _rate(m, sound)}
+    s |= {"top_rung_bytes": bytes_by_kind(m, manifest_bytes), "left_out": describe_left_out(m)}
+    s["repairs"] = [line for group in m.groups for line in group.repairs]
+    return s | {"decisions": list(m.decisions), "attribution": m.attribution}
 
 
 def _rate(m: Manifest, size: float) -> float:
@@ -175,12 +161,10 @@ def describe_left_out(m: Manifest) -> list[str]:
 def format_summary(m: Manifest, manifest_bytes: int) -> str:
     s = summarise(m, manifest_bytes)
     kinds = [f"{kind} {kilobytes(size / m.frames)}" for kind, size in s["top_rung_bytes"].items()]
-    groups = [
-        g
-        | {"group": i, "frames": f"{g['frames'][0]}-{g['frames'][1] - 1}", "base": g["base"] or ""}
-        | {"gaussians": [g["gaussians"]]}
-        for i, g in enumerate(s["groups"])
-    ]
+    groups = []
+    for i, g in enumerate(s["groups"]):
+        shown = {"group": i, "frames": f"{g['frames'][0]}-{g['frames'][1] - 1}", "base": g["base"] or ""}
+        groups.append(g | shown | {"gaussians": [g["gaussians"]]})
     if len(groups) > MOST_GROUPS:
         groups = [*groups[: MOST_GROUPS - 2], dict.fromkeys(GROUP_COLUMNS, "…"), groups[-1]]
     lines = [
@@ -188,9 +172,7 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
         "",
         _table(groups, GROUP_COLUMNS).to_text(),
         "",
-        _table(
-            [one for one in s["keyframes"] if one["gaussians"][1]], KEYFRAME_COLUMNS
-        ).to_text(),  # others have no files
+        _table([one for one in s["keyframes"] if one["gaussians"][1]], KEYFRAME_COLUMNS).to_text(),  # those with files
         "",
         "levels, without keyframes:",
         _table(s["levels"], LEVEL_COLUMNS).to_text(),
@@ -273,14 +255,11 @@ def plot_rungs(rungs: Sequence[Row], axes: Any) -> None:
     """Draw every rung that was measured by its bytes and PSNR: the ladder joined and named, others grey."""
     measured = sorted((r for r in rungs if r["psnr"] is not None), key=lambda r: (r["bytes_per_frame"], r["psnr"]))
     for best, form, colour in ((True, "o-", BLUE), (False, "o", GREY)):
-        some = [
-            (r["bytes_per_frame"] / 1e3, r["psnr"], f"{r['keyframe']}+{r['delta']}")
-            for r in measured
-            if r["best"] == best
-        ]
-        axes.plot([x for x, _, _ in some], [y for _, y, _ in some], form, color=colour, ms=4)
-        for x, y, name in some if best else ():
-            axes.annotate(name, (x, y), (-5, 4), textcoords="offset points", fontsize=8, color=BLUE, ha="right")
+        some = [(r["bytes_per_frame"] / 1e3, r["psnr"]) for r in measured if r["best"] == best]
+        axes.plot([x for x, _ in some], [y for _, y in some], form, color=colour, ms=4)
+    for r in (r for r in measured if r["best"]):
+        name, at = f"{r['keyframe']}+{r['delta']}", (r["bytes_per_frame"] / 1e3, r["psnr"])
+        axes.annotate(name, at, (-5, 4), textcoords="offset points", fontsize=8, color=BLUE, ha="right")
     axes.margins(0.18, 0.1)
     axes.set(xlabel="kB a frame, everything fetched", ylabel="PSNR, dB")
     if not measured:

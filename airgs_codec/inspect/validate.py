@@ -55,11 +55,8 @@ def validate_files(files: Storage) -> list[FormatError]:
 
 def exceeded(measured: Iterable[Measured]) -> list[FormatError]:
     """Return every `max_error` that a comparison with the original (`errors.measure_errors`) found too small."""
-    return [
-        FormatError("bound_exceeded", m.where, f"{m.attribute}: max_error {m.bound:g}, measured {m.error:g}")
-        for m in measured
-        if m.error > m.bound
-    ]
+    words = "{0.attribute}: max_error {0.bound:g}, measured {0.error:g}".format
+    return [FormatError("bound_exceeded", m.where, words(m)) for m in measured if m.error > m.bound]
 
 
 def _attempt(where: str, work: Callable[[], object]) -> list[FormatError]:

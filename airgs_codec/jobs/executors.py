@@ -6,7 +6,6 @@ Any `concurrent.futures.Executor` will do where one is asked for.
 from __future__ import annotations
 
 import logging
-import multiprocessing
 import os
 import signal
 import sys
@@ -16,13 +15,14 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
+from multiprocessing import get_context
 from typing import Any
 
 from airgs_codec._settings import available_cores
 from airgs_codec.errors import WorkError
 from airgs_codec.render.cpu import use_threads
 
-DEATHS = 3  # of workers during a call, after which it fails
+DEATHS = 3  # of workers in a row, after which calls fail
 LEAVE_S = 5.0  # for a process to remove unfinished files
 RETRIES = 2  # of a call whose disk or network fails
 CONNECT_S = 5  # to a Dask scheduler
@@ -35,35 +35,39 @@ class Processes(Executor):
     def __init__(self, count: int) -> None:
         self._count, self._threads = count, max(1, available_cores() // count)
         self._lock, self._pool = threading.Lock(), self._begin()
+        self._deaths = 0  # pools that broke since a call was last finished
 
     def _begin(self) -> ProcessPoolExecutor:
-        given = os.getpid(), self._threads
-        return ProcessPoolExecutor(self._count, multiprocessing.get_context("spawn"), prepare_worker, given)
+        return ProcessPoolExecutor(self._count, get_context("spawn"), prepare_worker, (os.getpid(), self._threads))
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Return a future, which raises WorkError where DEATHS processes died during the call."""
+        """Return a future, which raises WorkError where DEATHS processes died while no call was finished."""
         shown: Future[Any] = Future()
-        self._send(shown, partial(fn, *args, **kwargs), DEATHS)
+        self._send(shown, partial(fn, *args, **kwargs))
         return shown
 
-    def _send(self, shown: Future[Any], call: Callable[[], Any], lives: int) -> None:
+    def _send(self, shown: Future[Any], call: Callable[[], Any]) -> None:
+        done: Future[Any] | None = None
         with self._lock:
             try:
                 done = self._pool.submit(call)
             except BrokenProcessPool:
-                self._pool = self._begin()
-                done = self._pool.submit(call)
-        done.add_done_callback(partial(self._finish, shown, call, lives))
-
-    def _finish(self, shown: Future[Any], call: Callable[[], Any], lives: int, done: Future[Any]) -> None:
-        if done.cancelled() or shown.cancelled():
-            shown.cancel()
-        elif not isinstance(error := done.exception(), BrokenProcessPool):
-            shown.set_result(done.result()) if error is None else shown.set_exception(error)
-        elif lives > 1:
-            self._send(shown, call, lives - 1)
+                self._pool, self._deaths = self._begin(), self._deaths + 1
+                if self._deaths < DEATHS:
+                    done = self._pool.submit(call)
+        if done:
+            done.add_done_callback(partial(self._finish, shown, call))
         else:
             shown.set_exception(WorkError(f"{DEATHS} workers died in a row: is there memory for {self._count}?"))
+
+    def _finish(self, shown: Future[Any], call: Callable[[], Any], done: Future[Any]) -> None:
+        if done.cancelled() or shown.cancelled():
+            shown.cancel()
+        elif isinstance(error := done.exception(), BrokenProcessPool):
+            self._send(shown, call)
+        else:
+            self._deaths = 0
+            shown.set_result(done.result()) if error is None else shown.set_exception(error)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the processes, whatever they are doing, unless `wait`."""

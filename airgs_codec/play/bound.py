@@ -74,12 +74,9 @@ def solve_horizon(
     columns, values = zip(*itertools.chain.from_iterable(terms), strict=True)
     ends = np.cumsum([0, *map(len, terms)])
     matrix = csr_array((values, columns, ends), shape=(len(terms), costs.size))
-    result = milp(
-        costs.ravel(),
-        constraints=LinearConstraint(matrix, np.array(low), np.array(high)),
-        bounds=Bounds(0.0, upper.ravel()),
-        integrality=np.tile(np.r_[np.ones(width - 1, np.int64), 0], len(slots)) * int(integer),
-    )
+    limits, bounds = LinearConstraint(matrix, np.array(low), np.array(high)), Bounds(0.0, upper.ravel())
+    whole = np.tile(np.r_[np.ones(width - 1, np.int64), 0], len(slots)) * int(integer)
+    result = milp(costs.ravel(), constraints=limits, bounds=bounds, integrality=whole)
     if result.x is None:
         return None
     first = sum(size * result.x[column] for column, size in programme.fetched(0))
@@ -98,9 +95,8 @@ class _Programme:
         self._horizon, self._decoded, self._idle_bytes = horizon, decoded, idle_bytes
         self._offers = [slot.offer for slot in horizon]
         first = self._offers[0]
-        own = sorted(
-            {of.keyframe[1:] for rung in first.rungs for of in rung.keyframes if of.keyframe[0] == first.group}
-        )
+        keyframes = {of.keyframe for rung in first.rungs for of in rung.keyframes}
+        own = sorted(keyframe[1:] for keyframe in keyframes if keyframe[0] == first.group)
         self._column = {key: column for column, key in enumerate(own)}  # of (quality, tier)
         self.rungs = len(first.rungs)
         self._groups = [(offer.group, offer.base) for offer in self._offers]
@@ -118,10 +114,9 @@ class _Programme:
     def _keyframes(self, k: int) -> Iterator[tuple[Keyframe, int, int | None]]:
         """Yield all keyframes that slot k may need, each with its column and its column in the last slot before k."""
         for of, group in enumerate(self._groups[k]):
-            if group is not None:
-                yield from (
-                    ((group, *key), self._keyframe(k, of, key), self._before(k, of, key)) for key in self._column
-                )
+            for key in self._column:
+                if group is not None:
+                    yield (group, *key), self._keyframe(k, of, key), self._before(k, of, key)
 
     def _before(self, k: int, of: int, keyframe: tuple[int, int]) -> int | None:
         """Return the column of the same keyframe in the last slot before k that may need it, None if none does."""

@@ -166,15 +166,9 @@ class SimulatedDownloader:
             end_s, passed = stopped.at_s, stopped.bytes
         self._free_s = end_s
         came = [f for f, size in sizes.items() if sum(min(size, other) for other in sizes.values()) <= passed]
-        return Arrival(
-            request=request,
-            first_byte_s=first_s,
-            at_s=end_s,
-            bytes=max(1, round(passed)),
-            whole=tuple(path for path in came if path not in self.faults),
-            refused={path: self.faults[path] for path in came if path in self.faults},
-            abandoned=stopped is not None,
-        )
+        whole = tuple(path for path in came if path not in self.faults)
+        refused = {path: self.faults[path] for path in came if path in self.faults}
+        return Arrival(request, first_s, end_s, max(1, round(passed)), whole, refused, stopped is not None)
 
     def _looks(self, first_s: float, end_s: float, expected: int) -> Iterator[Partial]:
         for look in itertools.count(1):

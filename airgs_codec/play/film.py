@@ -71,23 +71,17 @@ def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians
 
     In a lost segment the last Gaussians stay; None before the first that could be shown.
     """
-    decoded_at = -1
-    frames: list[Gaussians] = []
+    m, decoded_at, frames = package.manifest, -1, list[Gaussians]()
     last: Gaussians | None = None
     for entry, frame in log.screen_ticks:
         s = log.shown[entry]
         if s.rung is not None:
             if entry != decoded_at:
-                decoded_at, frames = entry, _segment(package, s.segment, log.offers.rungs[s.rung])
+                decoded_at, (quality, level) = entry, log.offers.rungs[s.rung]
+                base = decode_canonical(package, m.group_of(s.segment), quality, m.levels[level].tiers)
+                frames = list(decode_segment(package, s.segment, base, level, range(s.frames)))
             last = frames[frame]
         yield last, entry
-
-
-def _segment(package: Package, index: int, rung: tuple[int, int]) -> list[Gaussians]:
-    m, (quality, level) = package.manifest, rung
-    segment = m.segments[index]
-    base = decode_canonical(package, m.group_of(index), quality, m.levels[level].tiers)
-    return list(decode_segment(package, index, base, level, range(segment.stop - segment.start)))
 
 
 def film(

@@ -187,12 +187,9 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
 
     async def _connect(self) -> aiohttp.ClientSession:
         """Return a session whose bodies come as they are: tables list digests of what is on the server."""
-        return aiohttp.ClientSession(
-            connector=aiohttp.TCPConnector(limit=0),
-            timeout=aiohttp.ClientTimeout(total=None),
-            auto_decompress=False,
-            headers={"Accept-Encoding": "identity"},
-        )
+        connector, timeout = aiohttp.TCPConnector(limit=0), aiohttp.ClientTimeout(total=None)
+        as_it_is = {"Accept-Encoding": "identity"}
+        return aiohttp.ClientSession(connector=connector, timeout=timeout, auto_decompress=False, headers=as_it_is)
 
     async def _fetch(self, request: Request, give_up: GiveUp | None) -> Arrival:
         if (left_s := request.sent_s - self._now_s()) > 0:
@@ -210,17 +207,10 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
         self._rtt_s = min(self._rtt_s, transfer.wait_s)
-        now_s = self._now_s()
-        return Arrival(
-            request=request,
-            first_byte_s=now_s if transfer.first_byte_at is None else self._at_s(transfer.first_byte_at),
-            at_s=now_s,
-            bytes=max(1, transfer.bytes),
-            whole=tuple(path for path in files if path in transfer.whole),
-            refused=transfer.refused,
-            abandoned=abandoned,
-            retries=tuple(transfer.retries),
-        )
+        now_s, size, retries = self._now_s(), max(1, transfer.bytes), tuple(transfer.retries)
+        first_s = now_s if transfer.first_byte_at is None else self._at_s(transfer.first_byte_at)
+        whole = tuple(path for path in files if path in transfer.whole)
+        return Arrival(request, first_s, now_s, size, whole, transfer.refused, abandoned, retries)
 
     async def _watch(
         self, tasks: list[asyncio.Task[None]], transfer: Transfer, expected: int, give_up: GiveUp | None
@@ -276,8 +266,7 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
                 self._on_retry(f"{self._url}/{path}: {fault.detail}; asking again")
             transfer.retries.append(Retry(path, fault.detail, answer.size))
             pause_s = min(LONGEST_PAUSE_S, self._settings.backoff_s * 2 ** min(tries, 30))
-            pause_s *= random.uniform(0.5, 1.0)  # not the same for everybody who lost the same server
-            await asyncio.sleep(pause_s)
+            await asyncio.sleep(pause_s * random.uniform(0.5, 1.0))  # clients of one server do not return together
 
     def _fault(self, path: str, error: Exception, away: bool) -> FormatError:
         """Return what an error means for a file; `away`: the server has sent nothing since the request."""
@@ -301,11 +290,8 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
         tag = self._tag if path == JSON_NAME else None
         if tag is not None:  # the first, and one after a fault, is as it is listed
             headers = {"Accept-Encoding": "gzip"} | ({"If-None-Match": tag} if tag else {})
-        asking = self._session.get(
-            URL(f"{self._url}/{path}{self._query}", encoded=True),
-            headers=headers,
-            middlewares=(partial(self._stay, path),),
-        )
+        url, stay = URL(f"{self._url}/{path}{self._query}", encoded=True), partial(self._stay, path)
+        asking = self._session.get(url, headers=headers, middlewares=(stay,))
         async with answer.limit, asking as response:
             answer.begin(response)
             if response.status == 304 and tag:
@@ -387,9 +373,20 @@ class RemoteTables:
             return
         if self.offers is None:
             raise FormatError("missing_entry", path, f"{JSON_NAME} has not come yet")
-        entry = self.offers.manifest.entry(path)
+        m = self.offers.manifest
+        entry, (what, numbers) = m.entry(path), locate(path)
         check_file(path, data, entry)
-        self._read_table(self.offers, path, entry, data)
+        if what not in ("group", "page"):
+            return
+        self._files[path] = entry, data
+        try:
+            if what == "group":
+                self._check_base(m, numbers[0] - 1)
+            else:
+                m.groups.places.check_page(numbers[0], numbers[1] - 1)
+        except FormatError:
+            del self._files[path]
+            raise
 
     def _accept_root(self, data: bytes) -> None:
         if data == self.root_bytes:
@@ -403,20 +400,6 @@ class RemoteTables:
         else:
             self.offers.grow(manifest, len(data))
         self._root, self.root_bytes = root, data
-
-    def _read_table(self, c: Offers, path: str, entry: FileEntry, data: bytes) -> None:
-        what, numbers = locate(path)
-        if what not in ("group", "page"):
-            return
-        self._files[path] = entry, data
-        try:
-            if what == "group":
-                self._check_base(c.manifest, numbers[0] - 1)
-            else:
-                c.manifest.groups.places.check_page(numbers[0], numbers[1] - 1)
-        except FormatError:
-            del self._files[path]
-            raise
 
     def _find(self, path: str, entry: FileEntry) -> bytes:
         """Return a fetched table. Raises FormatError if it has not come, or if the root now lists another."""
@@ -440,11 +423,8 @@ class RemoteTables:
 
 def _check_growth(before: Root, after: Root) -> None:
     """Raise FormatError(bad_value) unless a root can follow another while groups are added."""
-    same = all(
-        getattr(before, field.name) == getattr(after, field.name)
-        for field in dataclasses.fields(Header)
-        if field.name not in GROWS
-    )
+    fixed = {field.name for field in dataclasses.fields(Header)}.difference(GROWS)
+    same = all(getattr(before, name) == getattr(after, name) for name in fixed)
     was, now = count_groups(before.index), count_groups(after.index)
     extends = now >= was
     for level, (old, new) in enumerate(zip(before.index, after.index, strict=False)):

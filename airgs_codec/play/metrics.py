@@ -105,12 +105,8 @@ class SessionLog:
         events: Iterable[Event], offers: Offers, policy: str, settings: SessionSettings, link: Link | None = None
     ) -> SessionLog:
         """Fold events into a log. Deltas of a replaced rung are wasted; its keyframes are not: they stay decoded."""
-        fetches: list[Fetch] = []
-        shown: list[Displayed] = []
-        lost: list[str] = []
-        retried: list[str] = []
-        by_kind: Counter[FileKind] = Counter()
-        brought: dict[int, Fetch] = {}  # position -> the batch that brought its delta
+        fetches, shown, lost, retried = list[Fetch](), list[Displayed](), list[str](), list[str]()
+        by_kind, brought = Counter[FileKind](), dict[int, Fetch]()  # position -> the batch that brought its delta
         for event in events:
             match event:
                 case Arrived(arrival):
@@ -230,23 +226,11 @@ def _fetch(offers: Offers, event: Arrived) -> Fetch:
         wasted = arrival.bytes
     elif arrival.complete:
         wasted = sum(retry.bytes for retry in arrival.retries)
-    return Fetch(
-        kind=request.kind,
-        position=request.position,
-        rung=request.rung,
-        files=len(arrival.whole) + len(arrival.refused),
-        retries=len(arrival.retries),
-        bytes=arrival.bytes,
-        wasted=wasted,
-        request_s=request.sent_s,
-        arrival_s=arrival.at_s,
-        budget_bytes=event.budget_bytes,
-        throughput_bps=event.throughput_bps,
-        fits=event.decision.fits,
-        abandoned=arrival.abandoned,
-        shown=arrival.complete and request.kind in NEXT,
-        reason=event.decision.reason,
-    )
+    asked = request.kind, request.position, request.rung
+    sizes = len(arrival.whole) + len(arrival.refused), len(arrival.retries), arrival.bytes, wasted
+    rates = request.sent_s, arrival.at_s, event.budget_bytes, event.throughput_bps
+    decision, shown = event.decision, arrival.complete and request.kind in NEXT
+    return Fetch(*asked, *sizes, *rates, decision.fits, arrival.abandoned, shown, decision.reason)
 
 
 # Those that studies compare; with `regret`, the PSNR under the bound for the same moments.

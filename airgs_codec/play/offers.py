@@ -62,9 +62,7 @@ class RungOffer:
     gaussians: int  # that a picture shows
     allowed: bool  # whether the budget has as many
     saved: float  # share of the first level's delta that its level saves
-    keyframes: tuple[
-        KeyframeOffer, ...
-    ]  # sound, then of every keyframe tier that of the group and that of the base, if any
+    keyframes: tuple[KeyframeOffer, ...]  # sound, then of each keyframe tier that of the group and that of its base
     delta: tuple[str, ...]  # files
     delta_bytes: int  # on the wire
 
@@ -84,17 +82,13 @@ class SegmentOffer:
 
     @cached_property
     def levels(self) -> tuple[Option, ...]:
-        finest = [rung for rung in self.rungs if rung.quality == 0]
-        return tuple(Option(rung.level, rung.delta_bytes, rung.psnr, rung.saved) for rung in finest)
+        return tuple(Option(r.level, r.delta_bytes, r.psnr, r.saved) for r in self.rungs if r.quality == 0)
 
     def sizes(self, decoded: Keyframes) -> list[int]:
         """Return (R,) wire bytes of deltas and keyframes not yet decoded; OVER_BUDGET if the rung is not allowed."""
-        return [
-            rung.delta_bytes + sum(offer.bytes for offer in rung.keyframes if offer.keyframe not in decoded)
-            if rung.allowed
-            else OVER_BUDGET
-            for rung in self.rungs
-        ]
+        missing = [sum(of.bytes for of in rung.keyframes if of.keyframe not in decoded) for rung in self.rungs]
+        both = zip(self.rungs, missing, strict=True)
+        return [rung.delta_bytes + size if rung.allowed else OVER_BUDGET for rung, size in both]
 
     def options(self, decoded: Keyframes) -> tuple[Option, ...]:
         sizes = self.sizes(decoded)
@@ -133,21 +127,16 @@ class Offers:
     """
 
     def __init__(
-        self,
-        manifest: Manifest,
-        header_bytes: int = HEADER_BYTES,
-        root_bytes: int = 0,
-        live: bool = False,
-        first: int = 0,
+        self, manifest: Manifest, header_bytes: int = HEADER_BYTES, root_bytes: int = 0, live: bool = False
     ) -> None:
-        """`root_bytes` are those of airgs.json; a session begins with the segment `first`."""
-        self.header_bytes, self.first = header_bytes, first
+        """`root_bytes` are those of airgs.json."""
+        self.header_bytes, self.first = header_bytes, 0  # the segment that a session begins with
         self.grow(manifest, root_bytes)
         self.live = live  # more groups may come in this session
-        self._made = lru_cache(4096)(self._make)
+        self.offer = lru_cache(4096)(self._offer)
 
     def __reduce__(self) -> tuple[object, ...]:
-        return Offers, (self.manifest, self.header_bytes, self.root_bytes, self.live, self.first)
+        return Offers, (self.manifest, self.header_bytes, self.root_bytes, self.live), {"first": self.first}
 
     @staticmethod
     def of(package: Package) -> Offers:
@@ -159,14 +148,11 @@ class Offers:
         self.segments = len(manifest.segments)
         self.fps = float(manifest.fps)
 
-    def offer(self, segment: int, budget: int | None = None) -> SegmentOffer:
+    def _offer(self, segment: int, budget: int | None = None) -> SegmentOffer:
         """Return the offer of a segment, whose rungs are allowed that show no more Gaussians than the budget.
 
         Raises FormatError where its tables cannot be had.
         """
-        return self._made(segment, budget)
-
-    def _make(self, segment: int, budget: int | None) -> SegmentOffer:
         m = self.manifest
         group, found = m.group_of(segment), m.segments[segment]
         base, counts = m.base_of(group), [tier.count for tier in m.groups[group].tiers]
@@ -174,19 +160,13 @@ class Offers:
         sizes = [self.wire_bytes(files) for files in deltas]
         saved = saved_shares(sizes)
         sound = [self._keyframe((group, 0, m.tiers), m.sound_files(group))] if m.sound else []
-        rungs = []
+        rungs, groups = [], [group] if base is None else [group, base]
         for q in range(len(m.qualities)):
-            keyframes = [
-                [
-                    self._keyframe((g, q, tier), m.keyframe_files(g, tier, q))
-                    for g in ([group] if base is None else [group, base])
-                ]
-                for tier in range(m.tiers)
-            ]
+            keyframes = [self._keyframe((g, q, t), m.keyframe_files(g, t, q)) for t in range(m.tiers) for g in groups]
             for j, level in enumerate(found.levels):
                 tiers = m.levels[j].tiers
                 rows = sum(counts[:tiers])
-                needed = (*sound, *(one for pair in keyframes[:tiers] for one in pair))
+                needed = (*sound, *keyframes[: tiers * len(groups)])
                 psnr = float(level.psnr[q]) if level.psnr else 0.0
                 delta_e = float(level.delta_e[q]) if level.delta_e else np.nan
                 allowed = budget is None or rows <= budget

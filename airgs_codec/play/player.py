@@ -59,10 +59,10 @@ def run(offers: Offers, downloader: Downloader, policy: Policy, settings: Sessio
     over the budget, TransportError when the link fails.
     """
     if policy.needs_quality and not offers.manifest.measured:
-        raise ConfigError(
-            f"policy {policy.name}: the package has no measured quality, encode it with measure_pictures above 0"
-        )
-    return Player(offers, downloader, policy, settings or SessionSettings()).play()
+        words = "the package has no measured quality, encode it with measure_pictures above 0"
+        raise ConfigError(f"policy {policy.name}: {words}")
+    rules = settings or SessionSettings()
+    return Player(offers, downloader, policy, rules, Playout(rules), TableStore(offers)).play()
 
 
 @dataclass(slots=True, eq=False)
@@ -125,8 +125,8 @@ class Player:
     downloader: Downloader
     policy: Policy
     settings: SessionSettings
-    playout: Playout = field(init=False)
-    tables: TableStore = field(init=False)
+    playout: Playout
+    tables: TableStore
     end: int = 0  # positions, so far where the package grows
     now_s: float = 0.0  # when the last batch was over, or when there was room for the next
     root_s: float = 0.0  # when airgs.json was asked for
@@ -135,12 +135,7 @@ class Player:
     first: Download = NOTHING  # the fastest of tables and poster, the wait for its first byte included
     unusable: set[str] = field(default_factory=set)  # files found missing or corrupt
     given_up: tuple[int, int] = (-1, 0)  # position and size: nothing as large is asked for at that position again
-    _keyframes: dict[int, set[Keyframe]] = field(
-        default_factory=dict
-    )  # decoded, by loop: what is played again is fetched again
-
-    def __post_init__(self) -> None:
-        self.playout, self.tables = Playout(self.settings), TableStore(self.offers)
+    _keyframes: dict[int, set[Keyframe]] = field(default_factory=dict)  # decoded, by loop: each fetches its own
 
     def play(self) -> Steps[None]:
         offers, position = self.offers, 0
@@ -234,21 +229,11 @@ class Player:
         return arrival.complete
 
     def _state(self, position: int, latency_s: float) -> PlayerState:
-        timeline = self.playout.timeline
-        return PlayerState(
-            position=position,
-            offer=self.offer(position),
-            upcoming=partial(self.upcoming, range(position, self.end)),
-            decoded=self.decoded(self.loop(position)),
-            options=self.choices(position),
-            now_s=self.now_s,
-            deadline_s=self.playout.deadline_s(self.now_s),
-            buffer_limit_s=self.settings.buffer_s,
-            request_latency_s=latency_s,
-            shown_quality=timeline[-1].psnr if timeline else None,
-            pipelined=self.pipelines,
-            history=self.history(self.sent_s(latency_s)),
-        )
+        timeline, upcoming = self.playout.timeline, partial(self.upcoming, range(position, self.end))
+        offers = self.offer(position), upcoming, self.decoded(self.loop(position)), self.choices(position)
+        times = self.now_s, self.playout.deadline_s(self.now_s), self.settings.buffer_s, latency_s
+        shown, history = timeline[-1].psnr if timeline else None, self.history(self.sent_s(latency_s))
+        return PlayerState(position, *offers, *times, self.pipelines, shown, history)
 
     def _shown(self, slots: Iterator[TimelineEntry]) -> Iterator[Displayed]:
         for slot in slots:
@@ -287,7 +272,7 @@ class Player:
                 gain = option.quality - here.psnr
                 if gain < REPLACE_GAIN_DB:
                     continue
-                size = option.size_bytes  # the state is decoded where only the keyframes would be better
+                size = option.size_bytes  # the delta is decoded where only the keyframes would be better
                 size -= here.delta_bytes if offer.rungs[option.index].level == here.level else 0
                 if free_s + 8 * size / rate_bps + self.settings.decode_frame_s > slot.start_s:
                     continue

@@ -28,9 +28,7 @@ class SessionSettings:
     decode_frame_s: float = setting(0.004, "time to decode and apply one frame")
     replace: bool = setting(True, "fetch better rungs for segments that are buffered")
     abandon: bool = setting(True, "give up a download that would come too late")
-    pipelined: bool = setting(
-        True, "request a segment one round trip before the current batch ends, knowing one download less"
-    )
+    pipelined: bool = setting(True, "request a segment a round trip before the batch before it ends, knowing less")
     loops: int | None = setting(None, "times the sequence is played; by default about 30 s of play")
     budget: int | None = setting(None, "most Gaussians that are fetched and shown of a group; by default any number")
 

@@ -47,6 +47,7 @@ class Download:
     seconds: float  # from the first byte to the last
 
 
+Floats = NDArray[np.float64]
 Coming = tuple[SegmentOffer, Keyframes]  # a segment from this one on, and the keyframes decoded for it
 
 
@@ -170,7 +171,7 @@ def choose_paper(state: PlayerState) -> Decision:
     """Run Algorithm 1 over the sizes and qualities of this very segment; if no rung is before the cliff, over all.
 
     The dense level space of Algorithm 1 is here what a package has of it: the levels of the segment with the finest
-    keyframes, by the bytes of their states. A segment of two levels has a cliff only where the second is 3 dB worse per
+    keyframes, by the bytes of their deltas. A segment of two levels has a cliff only where the second is 3 dB worse per
     10 % of the bytes saved; of one level, none. Keyframe qualities have no cliff: they are not updates withheld.
     """
     rungs = state.offer.rungs
@@ -226,7 +227,7 @@ def choose_robust_mpc(state: PlayerState) -> Decision:
         return select(full_ladder(state), 0.0)
     limit_s = state.buffer_limit_s
 
-    def download_s(sizes: NDArray[np.int64]) -> NDArray[np.float64]:
+    def download_s(sizes: NDArray[np.int64]) -> Floats:
         return np.asarray(state.request_latency_s * (sizes > 0) + 8 * sizes / rate)  # 0 bytes are not requested
 
     segments: list[Coming] = []
@@ -238,7 +239,7 @@ def choose_robust_mpc(state: PlayerState) -> Decision:
         total_s += offer.seconds
     value = np.zeros((len(state.offer.rungs), GRID_POINTS))
     for (before, _), (offer, decoded) in reversed(list(pairwise(segments))):
-        value = _value_before(before, offer, download_s(offer.bytes_after(before, decoded)), limit_s, value)
+        value = _values(before, offer, download_s(offer.bytes_after(before, decoded)), limit_s, value)
     rungs = np.array([p.index for p in state.options])
     sizes = np.array([p.size_bytes for p in state.options])
     quality = np.array([p.quality for p in state.options])
@@ -255,13 +256,7 @@ def choose_robust_mpc(state: PlayerState) -> Decision:
     return Decision(int(rungs[best]), bool(stall[best] <= 0), reason, int(sizes[best]))
 
 
-def _value_before(
-    before: SegmentOffer,
-    offer: SegmentOffer,
-    download_s: NDArray[np.float64],
-    limit_s: float,
-    value: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _values(before: SegmentOffer, offer: SegmentOffer, download_s: Floats, limit_s: float, value: Floats) -> Floats:
     """Return (R, B) the best total from a segment on, by the rung of the previous one and the buffer.
 
     download_s (P, R), the limit of the buffer, value (R, B) of what follows.
@@ -322,18 +317,16 @@ def upcoming_horizon(state: PlayerState, link: Link) -> tuple[list[Slot], float]
 Choose = Callable[[PlayerState], Decision]
 
 DEFAULT_POLICY = "robust-mpc"
-ADAPTIVE = {
-    policy.name: policy
-    for policy in (
-        Policy("paper", choose_paper),
-        Policy("paper-no-cliff", choose_paper_no_cliff),
-        Policy("paper-literal", choose_paper_literal),
-        Policy("paper-literal-no-cliff", partial(choose_paper_literal, beta=math.inf)),
-        Policy("throughput", choose_throughput),
-        Policy("bola", choose_bola),
-        Policy("robust-mpc", choose_robust_mpc, horizon=HORIZON_SEGMENTS),
-    )
+RULES: dict[str, Choose] = {
+    "paper": choose_paper,
+    "paper-no-cliff": choose_paper_no_cliff,
+    "paper-literal": choose_paper_literal,
+    "paper-literal-no-cliff": partial(choose_paper_literal, beta=math.inf),
+    "throughput": choose_throughput,
+    "bola": choose_bola,
 }
+ADAPTIVE = {name: Policy(name, rule) for name, rule in RULES.items()}
+ADAPTIVE["robust-mpc"] = Policy("robust-mpc", choose_robust_mpc, horizon=HORIZON_SEGMENTS)
 ORACLES = {"oracle-frame": choose_oracle_frame, "oracle-lp": choose_oracle_lp}
 POLICY_NAMES = (*ADAPTIVE, *ORACLES)
 
@@ -361,5 +354,4 @@ def make_policy(policy: Policy | Choose | str, offers: Offers, link: Link | None
     if name not in fixed:
         names = f"{', '.join(POLICY_NAMES)}, fixed:0 … fixed:{levels - 1} or fixed:{offers.names[-1]}"
         raise ConfigError(f"policy: expected {names}, got {name!r}")
-    choose = partial(choose_fixed, rung=fixed[name])
-    return Policy(name, choose, may_abandon=False, may_replace=False, needs_quality=False)
+    return Policy(name, partial(choose_fixed, rung=fixed[name]), False, False, needs_quality=False)

@@ -60,7 +60,7 @@ def simulate(
     return play(package, SimulatedDownloader(trace, package, faults or {}), policy, rules, trace)
 
 
-def session_bound(log: SessionLog, integer: bool = False) -> float | None:
+def session_bound(log: SessionLog) -> float | None:
     """Return the upper bound on the mean PSNR (dB) of any player that shows each segment when this one did.
 
     None when segments were lost, without measured quality, and over a real connection, whose capacity is not known.
@@ -68,9 +68,7 @@ def session_bound(log: SessionLog, integer: bool = False) -> float | None:
     link = log.link
     if link is None or not log.offers.manifest.measured or any(shown.rung is None for shown in log.shown):
         return None
-    slots = []
-    manifest_s = log.fetches[0].arrival_s
-    offers, limit = log.offers, log.settings.buffer_s
+    slots, offers, limit, manifest_s = [], log.offers, log.settings.buffer_s, log.fetches[0].arrival_s
     fronts = np.cumsum([0.0, *(s.frames / offers.fps for s in log.shown)])  # media time at which each begins
     for k, shown in enumerate(log.shown):
         release = manifest_s
@@ -81,5 +79,5 @@ def session_bound(log: SessionLog, integer: bool = False) -> float | None:
         begin, deadline = release + link.rtt_s, shown.start_s - log.settings.decode_frame_s
         capacities = link.bytes_between(0.0, begin), link.bytes_between(0.0, deadline)
         slots.append(Slot(offers.offer(shown.segment, budget=log.settings.budget), *capacities))
-    solution = solve_horizon(slots, integer=integer)
+    solution = solve_horizon(slots)
     return None if solution is None else solution.quality

@@ -10,6 +10,7 @@ import multiprocessing
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import repeat
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -105,19 +106,17 @@ def run_study(package: str | Path, settings: StudySettings, progress: Progress =
     for trace in settings.traces:
         Trace.open(trace)  # refuses one that cannot be read before minutes of work
     rows: list[Row] = []
-    tasks = [(package, trace, settings) for trace in settings.traces]
-    progress("sessions", 0, len(tasks))
-    context = multiprocessing.get_context("spawn")  # a fork has no threads, and clients of object stores live on them
-    with ProcessPoolExecutor(settings.jobs, context) as pool:
-        for done, some in enumerate(pool.map(_one_trace, tasks), 1):
+    progress("sessions", 0, len(settings.traces))
+    # A fork has no threads, and clients of object stores live on them.
+    with ProcessPoolExecutor(settings.jobs, multiprocessing.get_context("spawn")) as pool:
+        for done, some in enumerate(pool.map(_one_trace, repeat(package), settings.traces, repeat(settings)), 1):
             rows += some
-            progress("sessions", done, len(tasks))
+            progress("sessions", done, len(settings.traces))
     return Study(settings, Path(package).name, tuple(rows))
 
 
-def _one_trace(task: tuple[str | Path, str, StudySettings]) -> list[Row]:
-    path, name, settings = task
-    c, whole, rows = Offers.of(open_package(path)), Trace.open(name), []
+def _one_trace(package: str | Path, name: str, settings: StudySettings) -> list[Row]:
+    c, whole, rows = Offers.of(open_package(package)), Trace.open(name), []
     rules = replace(settings.session, loops=c.loops(settings.session.loops))
     for offset in offsets_of(whole, settings.offsets, settings.seed):
         trace = replace(whole.cut(offset, settings.scale), end=settings.end)
@@ -126,17 +125,14 @@ def _one_trace(task: tuple[str | Path, str, StudySettings]) -> list[Row]:
             feasible = is_feasible(c, link, rules, c.loops(rules.loops))
         except TransportError:  # the trace is over first
             feasible = False
-        start = {"trace": trace.name, "offset_s": offset, "scale": settings.scale, "mean_bps": trace.mean_bps}
-        start |= {"rtt_s": link.rtt_s}
+        about = {"offset_s": offset, "scale": settings.scale, "mean_bps": trace.mean_bps, "rtt_s": link.rtt_s}
         for policy in settings.policies:
             log = simulate(c, link, policy, rules)
             bound, frames = session_bound(log), log.metrics.frames
-            rows.append(
-                start
-                | {"policy": policy, "feasible": feasible, **log.metrics.as_dict(), "bound": bound}
-                | {"regret": None if bound is None else bound - log.mean_quality}
-                | {f"{kind}_kb_frame": log.bytes_by_kind.get(kind, 0) / frames / 1e3 for kind in FileKind}
-            )
+            row = {"trace": trace.name, **about, "policy": policy, "feasible": feasible}
+            row |= log.metrics.as_dict() | {"bound": bound}
+            row["regret"] = None if bound is None else bound - log.mean_quality
+            rows.append(row | {f"{k}_kb_frame": log.bytes_by_kind.get(k, 0) / frames / 1e3 for k in FileKind})
     return rows
 
 
@@ -148,19 +144,18 @@ class Interval(NamedTuple):
     high: float
 
 
-def interval(values: NDArray[np.float64], groups: Sequence[str], seed: int = 0) -> Interval:
+def interval(values: NDArray[np.float64], groups: Sequence[str]) -> Interval:
     """Return mean and 95 % interval by percentile bootstrap over whole traces, whose offsets are not independent.
 
     values (n,), NaN where there is no figure; groups (n,) name the trace of each. All NaN where nothing is known.
     """
-    names = sorted(set(groups))
-    member = np.array([names.index(g) for g in groups], np.intp)
+    names, member = np.unique(groups, return_inverse=True)
     finite = np.isfinite(values)
     if not finite.any():
         return Interval(math.nan, math.nan, math.nan)
     sums = np.bincount(member[finite], values[finite], len(names))
     counts = np.bincount(member[finite], minlength=len(names)).astype(np.float64)
-    picks = np.random.default_rng(seed).integers(0, len(names), (RESAMPLES, len(names)))
+    picks = np.random.default_rng(0).integers(0, len(names), (RESAMPLES, len(names)))
     drawn = counts[picks].sum(axis=1)
     means = sums[picks].sum(axis=1)[drawn > 0] / drawn[drawn > 0]
     low, high = np.percentile(means, [2.5, 97.5])
@@ -223,10 +218,8 @@ def study_answer(study: Study) -> dict[str, str]:
         found = interval(goodness[best] - goodness[other], traces)
         return found, "" if len(set(traces)) >= SURE_TRACES and found.low > 0 else ", which may be chance"
 
-    waits, psnr = 100 * study.of(best, "stall_ratio").mean(), study.of(best, "psnr_mean")
-    shows = (
-        f"it shows {interval(psnr, traces).mean:.1f} dB and" if measured else "what it shows was not measured, and it"
-    )
+    waits, mean_db = 100 * study.of(best, "stall_ratio").mean(), interval(study.of(best, "psnr_mean"), traces).mean
+    shows = f"it shows {mean_db:.1f} dB and" if measured else "what it shows was not measured, and it"
     good = [f"{best} does best on {len(traces)} links: {shows} waits {waits:.1f} % of the time."]
     if others:
         found, chance = lead(others[0])

@@ -191,9 +191,7 @@ def markov_trace(seed: int, mean_bps: float = MARKOV_MEAN_BPS) -> Trace:
     Neighbouring rates follow each other, one change in ten falls into an outage of about MARKOV_OUTAGE_S.
     """
     random = np.random.default_rng(seed)
-    starts: list[float] = []
-    rates: list[float] = []
-    at, state = 0.0, 2
+    starts, rates, at, state = list[float](), list[float](), 0.0, 2
     while at < MARKOV_S:
         out = bool(starts) and random.random() < 0.1
         starts.append(at)

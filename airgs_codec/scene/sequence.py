@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from airgs_codec._arguments import argument, described, frame_argument, path_argument
 from airgs_codec.errors import FrameError, SceneError
 from airgs_codec.places.place import Copied, is_address
-from airgs_codec.progress import Progress, silent, told
+from airgs_codec.progress import Progress, as_reporter, silent
 from airgs_codec.scene import beside
 from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME, Usage
 from airgs_codec.scene.camera import BLACK, Background, Camera, cameras_from
@@ -238,7 +238,7 @@ def open_sequence(
     folder = path_argument("folder", folder)
     rate = None if bake_fps is None else beside.frame_rate(str(folder), bake_fps)
     bake = Bake(rate, None if duration is None else Fraction(str(duration)))
-    copied = Copied(str(folder), COMPANIONS, told(progress)) if is_address(folder) else None
+    copied = Copied(str(folder), COMPANIONS, as_reporter(progress)) if is_address(folder) else None
     with _naming(copied):
         return replace(_open(copied.path if copied else Path(folder), bake, views, fps), copied=copied)
 

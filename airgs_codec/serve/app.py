@@ -154,11 +154,8 @@ def make_app(packages: Packages) -> Starlette:
             response = await asyncio.to_thread(_answer, request, folder, path, kind)
         return response or PlainTextResponse("no such file\n", 404)
 
-    routes = [
-        Route("/", index),
-        Route("/{page}", player),  # never a file of a package: those lie below a name
-        Route("/{name}/{path:path}", file),
-    ]
+    # A page is never a file of a package: those lie below a name.
+    routes = [Route("/", index), Route("/{page}", player), Route("/{name}/{path:path}", file)]
     app = Starlette(routes=routes, middleware=[Middleware(_gate)])
     app.router.redirect_slashes = False
     return app

@@ -14,9 +14,8 @@ from __future__ import annotations
 
 import html
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from itertools import repeat
 from pathlib import Path
 from urllib.parse import quote
@@ -59,8 +58,8 @@ def export_page(
     title: str | None = None,
     address: str = "",
     progress: Progress = silent,
-) -> list[Exported]:
-    """Write a folder that plays packages on any static host, and give what it holds.
+) -> dict[str, Glance]:
+    """Write a folder that plays packages on any static host; return what it says of each, by name.
 
     Every file of a package is checked against the tables as it is copied. The folder appears when it is whole, in the
     place of one that was exported before.
@@ -82,10 +81,9 @@ def export_page(
         (stage / NO_JEKYLL).touch()
         for name in PLAYER_SCRIPTS:
             shutil.copyfile(pages.PAGE_FOLDER / name, stage / name)
-        made = []
         for name, package in opened.items():
             _copy(package, name, Folder(stage / PACKAGES / name), progress)
-            made.append(Exported(name, look_at(package.manifest, package.root_bytes + package.mpd_bytes)))
+        made = {name: look_at(p.manifest, p.root_bytes + p.mpd_bytes) for name, p in opened.items()}
         _write_pages(stage, made, title, address)
     return made
 
@@ -128,34 +126,29 @@ def _copy(package: Package, name: str, target: Folder, progress: Progress) -> No
         write_file(target, path, data)
 
 
-@dataclass(frozen=True, slots=True)
-class Exported:
-    name: str
-    seen: Glance
-
-    @property
-    def folder(self) -> str:
-        return f"{PACKAGES}/{quote(self.name)}/"
+def _folder(name: str) -> str:
+    return f"{PACKAGES}/{quote(name)}/"
 
 
-def _write_pages(site: Path, packages: Sequence[Exported], title: str | None, address: str) -> None:
+def _write_pages(site: Path, packages: Mapping[str, Glance], title: str | None, address: str) -> None:
     """Write the pages for `packages` into a folder that is going to be at `address`, "" where that is not known."""
     root = f"{address.rstrip('/')}/" if address else ""
-    if len(packages) == 1:
-        written = {INDEX: _player_page(packages[0], title or title_of(packages[0].name), "", root)}
+    shown = list(packages.items())
+    if len(shown) == 1:
+        written = {INDEX: _player_page(*shown[0], title or title_of(shown[0][0]), "", root)}
     else:
-        written = {f"{PAGES}/{p.name}.html": _player_page(p, title_of(p.name), "../", root) for p in packages}
-        cards = [card(p.name, f"{PAGES}/{quote(p.name)}.html", p.folder, p.seen) for p in packages]
+        written = {f"{PAGES}/{name}.html": _player_page(name, s, title_of(name), "../", root) for name, s in shown}
+        cards = [card(name, f"{PAGES}/{quote(name)}.html", _folder(name), seen) for name, seen in shown]
         title = title or "Scenes"
-        written[INDEX] = pages.page_of_cards(title, cards, _preview(packages[0], title, "", root))
+        written[INDEX] = pages.page_of_cards(title, cards, _preview(*shown[0], title, "", root))
         (site / PAGES).mkdir()
     for path, text in written.items():
         (site / path).write_text(text, encoding="utf-8")
 
 
-def _player_page(package: Exported, title: str, up: str, root: str) -> str:
+def _player_page(name: str, seen: Glance, title: str, up: str, root: str) -> str:
     """Return a page that plays one package; `up` leads from it to the top of the site."""
-    seen, source = package.seen, html.escape(f"{up}{package.folder}")
+    source = html.escape(f"{up}{_folder(name)}")
     poster = f' poster="{source}{POSTER_NAME}"' if seen.has_poster else ""
     credit = f"<footer>{html.escape(seen.credit)}</footer>\n" if seen.credit else ""
     policy = f'<meta http-equiv="Content-Security-Policy" content="{content_policy("")}">\n'
@@ -164,14 +157,14 @@ def _player_page(package: Exported, title: str, up: str, root: str) -> str:
         f'<script type="module" src="{up}{PLAYER_SCRIPT}"></script>\n'
         "<noscript>This page plays a scene with JavaScript.</noscript>\n"
     )
-    return page_of(title, policy + _preview(package, title, up, root), PLAYER_STYLE, body)
+    return page_of(title, policy + _preview(name, seen, title, up, root), PLAYER_STYLE, body)
 
 
-def _preview(package: Exported, title: str, up: str, root: str) -> str:
+def _preview(name: str, seen: Glance, title: str, up: str, root: str) -> str:
     """Return who made the page, and what others show of a link to it (ogp.me)."""
-    words = f"{package.seen.words}\n{package.seen.credit}".strip()
+    words = f"{seen.words}\n{seen.credit}".strip()
     values = {"og:type": "website", "og:title": title, "og:description": words}
-    if package.seen.has_poster:
-        values["og:image"] = f"{root or up}{package.folder}{POSTER_NAME}"
-    tags = "".join(f'<meta property="{name}" content="{html.escape(value)}">\n' for name, value in values.items())
+    if seen.has_poster:
+        values["og:image"] = f"{root or up}{_folder(name)}{POSTER_NAME}"
+    tags = "".join(f'<meta property="{tag}" content="{html.escape(value)}">\n' for tag, value in values.items())
     return f'{MADE_BY}\n<meta name="description" content="{html.escape(words)}">\n{tags}'

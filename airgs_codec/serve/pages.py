@@ -40,12 +40,7 @@ _POLICY = {  # what a page may load, of each kind; nothing of any other
     "form-action": "'none'",
 }
 _INLINE = re.compile(r"<script\b(?![^>]*\bsrc\s*=)[^>]*>(.*?)</script>", re.DOTALL | re.IGNORECASE)
-PASSING = (
-    "missing_file",
-    "unsafe_path",
-    "size_mismatch",
-    "hash_mismatch",
-)  # pass without a change of airgs.json
+PASSING = ("missing_file", "unsafe_path", "size_mismatch", "hash_mismatch")  # pass without a change of airgs.json
 GROUPS_READ = 8  # of a package, at most: more would take too long
 LIST_STYLE = """
 :root { color-scheme: light dark }
@@ -174,10 +169,8 @@ def card(name: str, page: str, folder: str, seen: Glance | str) -> str:
         lines = [seen.words, *seen.credit.split("\n")]
     files = " · ".join(f'<a href="{root}{path}">{path}</a>' for path in (JSON_NAME, MPD_NAME))
     head = f'<span class="poster">{picture}</span><span class="title">{escape(title_of(name))}</span>'
-    return (
-        f'<a href="{html.escape(page)}">{head}</a>'
-        f"{''.join(f'<p>{escape(line)}</p>' for line in lines if line)}<p>{files}</p>"
-    )
+    about = "".join(f"<p>{escape(line)}</p>" for line in lines if line)
+    return f'<a href="{html.escape(page)}">{head}</a>{about}<p>{files}</p>'
 
 
 def _size(count: int) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from airgs_codec._arguments import argument, described, path_argument
 from airgs_codec.errors import ConfigError
 from airgs_codec.places.whole import expect_folder_name
-from airgs_codec.progress import Progress, silent, told
+from airgs_codec.progress import Progress, as_reporter, silent
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out
 from airgs_codec.trainer.data.readers import has_gaussians, open_scene
@@ -55,7 +55,7 @@ def train(
 
     if settings is not None:
         argument("settings", settings, TrainSettings, "TrainSettings")
-    renderer, report = open_renderer(device), told(progress)
+    renderer, report = open_renderer(device), as_reporter(progress)
     place = Path(scene) if isinstance(scene, (str, Path)) else None
     if isinstance(scene, (str, Path)):
         scene = open_sequence(scene) if has_gaussians(scene) else with_held_out(open_scene(Path(scene)), None)

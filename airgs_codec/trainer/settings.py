@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
-from airgs_codec._settings import computed_setting, documented, setting
+from airgs_codec._settings import documented, setting
 from airgs_codec.analysis.rows import AUTO
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.camera import BLACK, Background
@@ -89,7 +89,7 @@ class TrainSettings:
         "can be trained separately; None: every frame follows the one before",
         default="one chunk",
     )
-    temporal: Temporal = computed_setting(Temporal, "weight, unit and end of the temporal loss", option=False)
+    temporal: Temporal = setting(Temporal, "weight, unit and end of the temporal loss", option=False)
     velocity: bool = setting(True, "start a frame where its Gaussians would be if they moved on as before")
     min_psnr_db: float = setting(
         0.0, "mean PSNR over training views below which a frame becomes a keyframe, however good its group is"

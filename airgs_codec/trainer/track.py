@@ -95,7 +95,7 @@ def why_not(sequence: GaussianSequence, cameras: Sequence[Camera], renderer: Ren
     starts = {start for start, _ in count_runs(sequence)}
     frames = pairwise(sequence.read(number) for number in range(len(sequence)))
     if len({header.count for header in sequence.headers}) == 1 and all(
-        number in starts or compare_order(a, b)[0] == IN_ORDER for number, (a, b) in enumerate(frames, 1)
+        number in starts or compare_order(a, b) == IN_ORDER for number, (a, b) in enumerate(frames, 1)
     ):
         return "its rows are in order already"
     tried = evenly_spaced(len(sequence) - 1, 5)

@@ -96,7 +96,7 @@ def test_the_worst_pictures_weigh_more_in_a_pooled_error_and_what_is_sure_to_be_
 def test_where_no_line_tells_the_number_of_rows_it_is_found_to_one_per_cent(monkeypatch):
     """Nothing is lost by 436 rows of 1000, and everything by one more."""
     pruning = RowPruning([], np.ones(1000), {})
-    monkeypatch.setattr(pruning, "_error", lambda count: pruning._errors.setdefault(count, float(count > 436)))
+    monkeypatch.setattr(pruning, "error_of", lambda left: pruning._errors.setdefault(1000 - left, float(left < 564)))
     assert len(pruning.within(0.5).rows) == 1000 - 436 and len(pruning._errors) <= 10
     assert len(pruning.within(2.0).rows) == 1
 

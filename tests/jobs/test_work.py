@@ -61,12 +61,19 @@ def test_errors_of_calls_come_whole_and_later_calls_go_on(tmp_path, work):
     ("processes", "3 workers died in a row: is there memory for 2"), ("dask", "3 workers died of one job"),
 ], indirect=["executor"])  # fmt: skip
 def test_a_worker_that_dies_is_replaced_and_loses_nothing(tmp_path, work, message):
-    asked = [(n, str(tmp_path), 3) for n in range(8)]
+    asked = [(n, str(tmp_path), (3,)) for n in range(8)]
     assert work.results("squares", square, asked, asked) == [n * n for n in range(8)]
     assert set(calls(tmp_path).values()) <= {1, 2}  # what others did when one died may be done again
     with pytest.raises(WorkError, match=message):
         work.results("deaths", die, [()])
     assert squares(work, tmp_path, 2) == [0, 1]
+
+
+def test_deaths_of_workers_count_only_in_a_row(tmp_path, monkeypatch):
+    monkeypatch.setattr(executors, "DEATHS", 2)
+    with Processes(1) as pool:
+        asked = [(n, str(tmp_path), (1, 3, 5)) for n in range(6)]
+        assert Work(pool).results("squares", square, asked) == [n * n for n in range(6)]
 
 
 def test_a_pool_that_breaks_is_one_line():

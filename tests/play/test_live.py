@@ -211,7 +211,8 @@ class Live:
     def player(self):
         """A player of the best rung whose events are yet to be asked for."""
         offers, rules = self.tables.offers, SessionSettings(decode_frame_s=0.0)
-        return player.Player(offers, self, faces.make_policy("fixed:0", offers), rules)
+        parts = player.Playout(rules), player.TableStore(offers)
+        return player.Player(offers, self, faces.make_policy("fixed:0", offers), rules, *parts)
 
     def publish_until(self, at_s):
         m = self.package.manifest

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import os
 import pickle
+from collections.abc import Container
 from pathlib import Path
 
 from airgs_codec.errors import FormatError
 
 
-def square(number: int, folder: str, dies: int | None = None) -> int:
+def square(number: int, folder: str, dies: Container[int] = ()) -> int:
     """The square of a number; leaves a line in a file of the folder for every call.
 
-    Ends its process the first time that it is called for the number that `dies`, as a machine that is taken away.
+    Ends its process the first time that it is called for a number that `dies`, as a machine that is taken away.
     """
     flag = Path(folder) / f"died-{number}"
-    if number == dies and not flag.exists():
+    if number in dies and not flag.exists():
         flag.touch()
         os._exit(9)
     with open(f"{folder}/calls-{number}", "a", encoding="utf-8") as file:

@@ -33,7 +33,9 @@ def play(
     m: Manifest, over: Link, policy: Any = "fixed:0", headers: int = 0, faults: Any = (), first: int = 0, **options: Any
 ) -> SessionLog:
     """A session with 1000 bytes of airgs.json and the bare rules but for `options`."""
-    return simulate(Offers(m, headers, 1000, first=first), over, policy, rules(**options), dict(faults))
+    offers = Offers(m, headers, 1000)
+    offers.first = first
+    return simulate(offers, over, policy, rules(**options), dict(faults))
 
 
 def missing(*paths: str) -> dict[str, FormatError]:
