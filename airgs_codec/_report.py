@@ -82,7 +82,7 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class PagePicture:
     """A chart that `draw` draws in a figure, or what `save` writes to the file `name` in the folder of the page."""
 
     name: str
@@ -124,7 +124,7 @@ class Section:
 
     answer: str
     question: str = ""
-    pictures: Sequence[Picture] = ()
+    pictures: Sequence[PagePicture] = ()
     tables: Sequence[Table] = ()
 
     def to_html(self) -> str:
@@ -160,7 +160,7 @@ class Page:
         return folder / "index.html"
 
 
-def answered(answer: Mapping[str, str], pictures: Sequence[Picture], *tables: Table) -> list[Section]:
+def answered(answer: Mapping[str, str], pictures: Sequence[PagePicture], *tables: Table) -> list[Section]:
     """Return a section for each answer by the keys of HEADS that is not empty, then one of pictures and tables."""
     return [*(Section(words, HEADS[key]) for key, words in answer.items() if words), Section("", "", pictures, tables)]
 

@@ -11,6 +11,7 @@ from tests.support.house import TABLE, complaints, long_functions, lowered, node
 from tests.support.paths import PACKAGE, REPOSITORY
 from tools import typescript
 
+NAMED = r"^class (\w+)|^([A-Z][A-Z_0-9]+)(?:: .*?)? = "
 SMALL, LARGE = {"files": 1, "lines": 100}, {"files": 1, "lines": 104}
 
 
@@ -53,3 +54,10 @@ def test_files_for_typescript_are_what_python_says():
     sources = "\n".join(path.read_text() for path in folder.parent.rglob("*.ts") if folder not in path.parents)
     names = [line.split()[2].rstrip(":") for line in made["constants.ts"].splitlines() if line.startswith("export")]
     assert names and [name for name in names if not re.search(rf"\b{name}\b", sources)] == []
+
+
+def test_no_class_or_constant_has_two_meanings():
+    modules = sorted(PACKAGE.rglob("*.py"))
+    named = [name for path in modules for name in re.findall(NAMED, path.read_text(encoding="utf-8"), re.MULTILINE)]
+    names = [a or b for a, b in named]
+    assert sorted({name for name in names if names.count(name) > 1}) == []

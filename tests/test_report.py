@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from airgs_codec._report import Page, Picture, Table, answered, listed
+from airgs_codec._report import Page, PagePicture, Table, answered, listed
 from airgs_codec.encoder.plan import Choice
 from airgs_codec.inspect.report import advice, write_report
 from tests import faces
@@ -56,7 +56,7 @@ def test_without_matplotlib_pictures_are_refused_before_the_work(main, words, tm
 
 
 def chart(caption):
-    return Picture("", caption, lambda figure: figure.subplots().plot([0, 1]))
+    return PagePicture("", caption, lambda figure: figure.subplots().plot([0, 1]))
 
 
 def test_a_picture_that_cannot_be_written(tmp_path):
@@ -75,7 +75,7 @@ def test_labels_of_a_log_axis_do_not_touch(low, high, tmp_path: Path):
         drawn.append(axis)
 
     drawn = []
-    Picture("", "", draw, (4, 2)).write(tmp_path / "log.png")
+    PagePicture("", "", draw, (4, 2)).write(tmp_path / "log.png")
     labels = [text for text in drawn[0].get_xticklabels(which="both") if text.get_text()]
     boxes = sorted((t.get_window_extent() for t in labels), key=lambda box: box.x0)
     inside = [b for b in boxes if drawn[0].bbox.x0 <= (b.x0 + b.x1) / 2 <= drawn[0].bbox.x1]
@@ -84,7 +84,7 @@ def test_labels_of_a_log_axis_do_not_touch(low, high, tmp_path: Path):
 
 
 def test_a_page_answers_first_then_shows_pictures_then_folds_its_tables(tmp_path):
-    still = Picture("still.png", "still <1>", save=lambda path: path.write_bytes(b"still"))
+    still = PagePicture("still.png", "still <1>", save=lambda path: path.write_bytes(b"still"))
     answer = {"good": "3 < 4 dB.", "wrong": "", "change": "Nothing."}
     tables = Table("All", [{"a": "<b>"}]), Table("None", [])
     page = Page(answered(answer, [chart("a chart"), still], *tables), "Of <it>", 15)

@@ -111,5 +111,5 @@ def rungs(options: Rungs) -> int:
         say(json.dumps({"frames": list(numbers), "views": len(cameras), "rungs": rows}))
     else:
         say(f"{len(numbers)} frames in {len(cameras)} views; PSNR of the error pooled over pictures")
-        say(Table("", rows, pictures.RUNG_COLUMNS).to_text())
+        say(Table("", rows, pictures.COMPARED_COLUMNS).to_text())
     return 0

@@ -164,12 +164,12 @@ def _help(everything: bool) -> Any:
     from cyclopts.help import DefaultFormatter, PanelSpec
     from rich.box import SIMPLE
 
-    class Columns(DefaultFormatter):
+    class AlignedColumns(DefaultFormatter):
         def __call__(self, console: Any, options: Any, panel: Any) -> None:
             if everything or panel.title in ("Commands", ARGUMENTS.name, COMMON.name):
                 super().__call__(console, options, panel)
 
-    return Columns(panel_spec=PanelSpec(box=SIMPLE))
+    return AlignedColumns(panel_spec=PanelSpec(box=SIMPLE))
 
 
 def parse_frames(text: str | None) -> tuple[int, int | None]:

@@ -47,7 +47,7 @@ REGION_VIEWS = 8  # that are drawn from a region
 LABEL = 36  # pixels above each picture, for two lines
 LEAST_WIDTH = 320  # pixels; smaller pictures are shown with larger pixels, so that labels have room
 MOST_GAIN = 64
-RUNG_COLUMNS: Columns = {"rung": ("rung", ""), **QUALITY, "claimed": ("claimed dB", ".2f")}
+COMPARED_COLUMNS: Columns = {"rung": ("rung", ""), **QUALITY, "claimed": ("claimed dB", ".2f")}
 SIDE_COLUMNS: Columns = {
     "side": ("", ""), "name": ("", ""), "rung": ("rung", ""), "frames": ("frames", "d"), "fps": ("fps", "g"),
     "sh_degree": ("SH degree", ""), "bytes_per_frame": ("bytes a frame", ",.0f"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from airgs_codec._report import Page, Picture, Table, answered
+from airgs_codec._report import Page, PagePicture, Table, answered
 from airgs_codec.encoder.publish import EncodeReport
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.inspect.compare import compare_two, open_side, shared_views, side_by_side
@@ -52,8 +52,8 @@ def write_report(
     }
     chart, name = "What viewers fetch and see; grey: no player should.", f"frame-{worst.frame:06d}.png"
     pictures = [
-        Picture("", chart, lambda figure: plot_rungs(s["rungs"], figure.subplots())),
-        Picture(name, "The worst picture.", save=lambda path: write_png(path, side_by_side(a, b, worst))),
+        PagePicture("", chart, lambda figure: plot_rungs(s["rungs"], figure.subplots())),
+        PagePicture(name, "The worst picture.", save=lambda path: write_png(path, side_by_side(a, b, worst))),
     ]
     stages = {
         "about": ("part of the work", ""), "seconds": ("seconds", ".1f"), "chosen": ("what came of it", ""),

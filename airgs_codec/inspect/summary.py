@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec._report import BLUE, GREY, Form, Picture, Table
+from airgs_codec._report import BLUE, GREY, Form, PagePicture, Table
 from airgs_codec.media.metrics import psnr
 from airgs_codec.media.movie import LAYOUTS
 from airgs_codec.package.layout import DELTA, KEYFRAME
@@ -248,7 +248,7 @@ def plot_ladder(m: Manifest, manifest_bytes: int, path: Path) -> None:
         rungs.set_title("Rungs (grey: others show more)")
         _plot_bytes(time, m)
 
-    Picture(path.name, "", draw, (11, 4.2)).write(path)
+    PagePicture(path.name, "", draw, (11, 4.2)).write(path)
 
 
 def plot_rungs(rungs: Sequence[Row], axes: Any) -> None:

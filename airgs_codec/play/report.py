@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec._report import BLUE, GREEN, GREY, RED, Page, Picture, Table, answered, cell, listed
+from airgs_codec._report import BLUE, GREEN, GREY, RED, Page, PagePicture, Table, answered, cell, listed
 from airgs_codec.package.manifest import quality_of, rungs_of
 from airgs_codec.package.region import region_words
 from airgs_codec.play.player import SHORTEST_S
@@ -36,7 +36,7 @@ RUNGS = {
 def write_report(log: SessionLog, directory: Path) -> Path:
     """Write index.html into `directory`, and give its path. Raises ConfigError."""
     words = "The link and what was asked of it, PSNR on the screen; red: the viewer waits."
-    pictures = [Picture("", words, partial(_draw, log), (5.5, 3.8))]
+    pictures = [PagePicture("", words, partial(_draw, log), (5.5, 3.8))]
     figures = [{"figure": name, "value": value} for name, value in _readable(log).items()]
     tables = Table("All figures", figures), Table("What the package claims of its rungs", rung_record(log), RUNGS)
     return Page(answered(answer(log), pictures, *tables), f"A session of {log.policy}").write(directory)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._report import BLUE, ORANGE, RED, Page, Picture, answered
+from airgs_codec._report import BLUE, ORANGE, RED, Page, PagePicture, answered
 from airgs_codec.media.image import contact_sheet, to_bytes, write_png
 from airgs_codec.media.metrics import psnr
 from airgs_codec.progress import about
@@ -34,7 +34,7 @@ def write_report(model: ModelFolder, pictures: ScenePictures, directory: Path, r
     record, camera = model.record, ""
     worst, first = min(record.frames, key=_shown_db).frame, record.frames[0].frame
     words = f"Each frame; red: keyframes. PSNR is the {PSNR_DEFINITION}."
-    shown = [Picture("", words, partial(_draw, record))]
+    shown = [PagePicture("", words, partial(_draw, record))]
     for frame in dict.fromkeys((worst, first)):
         views = pictures.held_out(frame) or pictures.train(frame)
         seen = {view.camera.name: (view, _rendered(model, frame, view, renderer)) for view in views}
@@ -43,7 +43,7 @@ def write_report(model: ModelFolder, pictures: ScenePictures, directory: Path, r
         camera = camera or f"{name} in it with {psnr(errors[name]):.1f}"
         which = "worst" if frame == worst else "first"
         words = f"The {which} frame: filmed, trained, {ERROR_GAIN} times the error."
-        shown.append(Picture(f"frame-{frame:06d}.png", words, save=partial(_save, frame, *seen[name])))
+        shown.append(PagePicture(f"frame-{frame:06d}.png", words, save=partial(_save, frame, *seen[name])))
     sections = answered(training_answer(record, camera), shown)
     return Page(sections, f"Training of {model.folder.name}", None if record.complete else 15).write(directory)
 

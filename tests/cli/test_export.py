@@ -23,7 +23,6 @@ def page(tmp_path_factory, monkeypatch):
 
 
 def elements_of(page):
-    """Tags and attributes of a page."""
     found, parser = [], HTMLParser()
     parser.handle_starttag = lambda tag, attributes: found.append((tag, dict(attributes)))
     parser.feed(page.read_text())

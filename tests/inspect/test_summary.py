@@ -15,7 +15,6 @@ MANIFESTS = 700  # bytes of airgs.json and manifest.mpd, say
 
 
 def with_psnr(m, psnr):
-    """The same PSNR for every rung."""
     return replace(m, rungs=[[replace(quality, psnr=psnr) for quality in levels] for levels in m.rungs])
 
 

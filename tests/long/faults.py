@@ -161,13 +161,11 @@ class Clock:
     jumped_s: float = 0.0
 
     def time(self) -> float:
-        """See `time.time`."""
         if self.chance.random() < (0.5 if self.back else 0.1):
             self.jumped_s += self.chance.uniform(-3600 if self.back else 0, 3600)
         return time.time() + self.jumped_s
 
     def now(self, zone: object) -> datetime:
-        """See `datetime.now`."""
         return datetime.now(zone) + timedelta(seconds=self.time() - time.time())  # type: ignore[arg-type]
 
     def module(self) -> SimpleNamespace:

@@ -71,7 +71,7 @@ def test_what_a_file_carries_follows_from_its_path(path, written, kind, place):
 def test_other_paths_are_no_paths_of_a_package():
     others = [
         "",
-        "keyframe/T0/0.bin",
+        "delta/L0/0.bin",
         "keyframe/T01/1.bin",
         "keyframe/T0/1.bin/..",
         "../keyframe/T0/1.bin",

@@ -89,7 +89,6 @@ def chirping(frames: int, fps: Fraction, group_frames: int) -> Callable[[Path], 
 
 
 def silent(folder: Path) -> None:
-    """`sound` without it."""
     with TemporaryDirectory() as root:
         scene = write_sequence(Path(root), moving_frames(40, 39))
         encode(open_sequence(scene, fps=NTSC), folder, replace(SOUNDING, group_frames=13))

@@ -120,7 +120,6 @@ def pixels_of(picture: str, width: int, height: int) -> NDArray[np.uint8]:
 
 
 def decibels(pixels: NDArray[np.uint8], truth: NDArray[np.float32]) -> float:
-    """PSNR against r, g, b."""
     rounded = np.round(255 * truth.clip(0, 1)) / np.float32(255)
     assert rounded.std() > 0.05
     return psnr(mse((pixels / 255).astype(np.float32), rounded.astype(np.float32)))

@@ -59,7 +59,6 @@ def appeared(count: int = 40) -> Gaussians:
 
 
 def views_of(g: Gaussians, cameras: list[Camera]) -> list[View]:
-    """What the cameras see of `g`."""
     return [View(c, Target(np.clip(render(g, c).rgb, 0, 1))) for c in cameras]
 
 

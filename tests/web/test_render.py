@@ -94,7 +94,6 @@ def packages(tmp_path_factory, package_of):
 
 @pytest.fixture(scope="module")
 def data(packages, tmp_path_factory):
-    """The folder of all that is drawn."""
     folder = tmp_path_factory.mktemp("data")
     cameras = {name: four_cameras(decode(package, 0)) for name, package in packages.items()}
     for name, (which, tiers, pages, both) in DRAWN.items():

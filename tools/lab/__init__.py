@@ -5,7 +5,7 @@ An experiment answers a question: a module with `Options`, a frozen dataclass, a
 experiments are made of is named here.
 """
 
-from airgs_codec._report import Picture, Section, Table
+from airgs_codec._report import PagePicture, Section, Table
 from airgs_codec._settings import required, setting
 from tools.lab.command import Lab, main
 from tools.lab.page import COLOURS, Page, Row, listed, plain_log_ticks, rows_of
@@ -13,6 +13,6 @@ from tools.lab.results import Results, content
 from tools.lab.timing import Took, alone, middle, seconds_of, timed
 
 __all__ = [
-    "COLOURS", "Lab", "Page", "Picture", "Results", "Row", "Section", "Table", "Took", "alone", "content", "listed",
+    "COLOURS", "Lab", "Page", "PagePicture", "Results", "Row", "Section", "Table", "Took", "alone", "content", "listed",
     "main", "middle", "plain_log_ticks", "required", "rows_of", "seconds_of", "setting", "timed",
 ]  # fmt: skip

@@ -60,7 +60,6 @@ def code_digest() -> str:
 
 
 def _plain(value: Any) -> Any:
-    """`value` with paths as text, which `digest` takes."""
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, tuple | list):

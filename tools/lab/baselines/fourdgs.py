@@ -116,7 +116,6 @@ def _plane(pair: tuple[int, int], size: FieldSize, times: int, draw: torch.Gener
 
 
 def _sample(plane: torch.Tensor, column: torch.Tensor, row: torch.Tensor) -> torch.Tensor:
-    """(F, N) bilinear samples at places of -1..1, (N,) each."""
     grid = torch.stack([column, row], dim=1)[None, None]
     return torch.nn.functional.grid_sample(plane, grid, padding_mode="border", align_corners=True)[0, :, 0]
 

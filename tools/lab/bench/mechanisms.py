@@ -355,7 +355,6 @@ def _trained(rig: Rig, one: Mechanism | None, first: TrainedFrame | None) -> tup
 
 
 def _top_bytes(package: Package) -> float:
-    """Bytes a frame of the top rung with all tables."""
     return package.rungs[0].bytes / package.manifest.frames
 
 

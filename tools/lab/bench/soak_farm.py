@@ -150,7 +150,6 @@ def torment(options: Options, lab: Lab, made: Counter[str]) -> int:
 
 
 def _fail(fault: str, cluster: Cluster, work: Path, rng: random.Random, made: Counter[str]) -> None:
-    """One failure; nothing where there is nothing yet to damage."""
     if fault in ("worker", "scheduler"):
         cluster.kill(fault, rng)
     else:

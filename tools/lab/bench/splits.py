@@ -43,7 +43,7 @@ from airgs_codec.trainer.data.sync import in_step
 from airgs_codec.trainer.frames import frame_before
 from airgs_codec.trainer.record import ModelFolder, known_offsets, read_model
 from airgs_codec.trainer.settings import settings_from_table
-from tools.lab import Lab, Page, Picture, Section, Table, required, rows_of, setting
+from tools.lab import Lab, Page, PagePicture, Section, Table, required, rows_of, setting
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -113,7 +113,7 @@ def run(options: Options, lab: Lab) -> Page:
     tall, wide = pairs[0][0].shape[:2]
     size = 9, 6 * tall / wide + 0.4
     caption = "Filmed, and shown, by held-out cameras"
-    picture = Picture(f"splits-{name}", caption, partial(draw, rows, pairs), size)
+    picture = PagePicture(f"splits-{name}", caption, partial(draw, rows, pairs), size)
     table = Table(f"splits-{name}", rows_of(rows))
     return Page([Section(summary(name, judged), pictures=[picture])], how, data=[table])
 

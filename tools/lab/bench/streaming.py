@@ -20,7 +20,7 @@ from airgs_codec.play.offers import Offers
 from airgs_codec.play.playout import SessionSettings
 from airgs_codec.play.policies import DEFAULT_POLICY
 from airgs_codec.play.study import Study, StudySettings, run_study, summarise
-from tools.lab import COLOURS, Lab, Page, Picture, Row, Section, Table, content, listed, required, setting
+from tools.lab import COLOURS, Lab, Page, PagePicture, Row, Section, Table, content, listed, required, setting
 from tools.lab.made import encoded, name_of
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def page(options: Options, rows: Sequence[Row]) -> Page:
     scenes = dict.fromkeys(row["scene"] for row in rows)
     words = [default_words(rows), best_words(rows), cliff_words(rows)]
     caption = "PSNR over waiting, means and their intervals over traces"
-    picture = Picture("streaming", caption, partial(draw, rows), (4 * len(scenes), 3.2))
+    picture = PagePicture("streaming", caption, partial(draw, rows), (4 * len(scenes), 3.2))
     section = Section(" ".join(filter(None, words)), pictures=[picture], tables=[Table("streaming", rows, COLUMNS)])
     first = [row for row in rows if row["scene"] == rows[0]["scene"]]
     return Page([section], how_of(options, rows), brief=[Table("brief", first, BRIEF)])

@@ -128,5 +128,4 @@ def disturb(g: Gaussians, rng: np.random.Generator) -> Gaussians:
 
 
 def _sizes(g: Gaussians) -> np.ndarray:
-    """Mean sizes (N, 1)."""
     return np.exp(g.log_scales.mean(axis=1, keepdims=True))

@@ -45,7 +45,6 @@ class Descent(Adam):
     """Gradient descent: a step is a rate times a unit times the gradient, whatever the size of the gradient."""
 
     def __init__(self, parameters: Mapping[str, torch.Tensor], rates: Mapping[str, float], units: Mapping[str, float]):
-        """`units` turn gradients of an attribute into steps of size 1."""
         super().__init__(parameters, rates)
         self._units = dict(units)
 

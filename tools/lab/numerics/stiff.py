@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from airgs_codec.render import cpu
-from tools.lab import Lab, Page, Picture, Section, Table, content, rows_of, setting
+from tools.lab import Lab, Page, PagePicture, Section, Table, content, rows_of, setting
 from tools.lab.numerics import fits, gradients, plans, steps
 from tools.lab.numerics.outcome import (
     BOUNDED,
@@ -117,7 +117,7 @@ def page(cells: Sequence[Cell]) -> Page:
         tall = max(len({cell.row for cell in some}) for _, _, some in maps)
         size = 4.3 * columns, (1.5 + 0.24 * tall) * -(-len(maps) // columns) + 0.4
         caption = f"How experiments end: {part}"
-        pictures.append(Picture(f"stiff-{part}", caption, partial(draw, maps, columns), size))
+        pictures.append(PagePicture(f"stiff-{part}", caption, partial(draw, maps, columns), size))
     wrong = [cell for cell in own if cell.end in FAULTS]
     words = ", ".join(f"{count} {plural(end)}" for end, count in count_ends(own).items())
     faults = f"{len(wrong)} diverge or are not finite" if wrong else "none diverges or is not finite"

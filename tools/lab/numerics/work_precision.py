@@ -20,7 +20,7 @@ from airgs_codec.play.policies import DEFAULT_POLICY, HORIZON_SEGMENTS, ORACLES
 from airgs_codec.play.trace import read_trace
 from airgs_codec.render import cpu
 from airgs_codec.scene.sequence import open_sequence
-from tools.lab import Lab, Page, Picture, Section, Table, content, plain_log_ticks, rows_of, setting
+from tools.lab import Lab, Page, PagePicture, Section, Table, content, plain_log_ticks, rows_of, setting
 from tools.lab.numerics import decode, encode, renderer, selector, survey, trainer
 from tools.lab.numerics.rows import FOX, FOX_FPS, REPEATS, Bench, Point, Row, Scene, open_spinach
 
@@ -124,7 +124,7 @@ def page(rows: Sequence[Row]) -> Page:
         some = [row for row in rows if row.question == question.name]
         if some:
             size = WIDTH * len(by_scene(some)), HEIGHT
-            picture = Picture(f"precision-{question.name}", question.text, partial(draw, question, some), size)
+            picture = PagePicture(f"precision-{question.name}", question.text, partial(draw, question, some), size)
             sections.append(Section(answer(question, some), question.text, [picture]))
     return Page(sections, HOW, data=[Table("work_precision", rows_of(rows))])
 

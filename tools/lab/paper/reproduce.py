@@ -23,7 +23,7 @@ from airgs_codec.package.package import open_package
 from airgs_codec.play.trace import Trace
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.formats.ply import read_ply
-from tools.lab import Lab, Page, Picture, Section, Table, setting, timed
+from tools.lab import Lab, Page, PagePicture, Section, Table, setting, timed
 from tools.lab.baselines.airgs import PACKAGE
 from tools.lab.baselines.method import frame_path, mean_bytes
 from tools.lab.paper import pictures
@@ -85,7 +85,7 @@ def run(options: Options, lab: Lab) -> Page:
     sections, data = [replace(first, tables=[])], [*first.tables]
     if "stream" in options.only:
         rows = [row for s in subjects for row in streams(lab, s, trained, traces, 2 if options.quick else 8)]
-        picture = Picture(
+        picture = PagePicture(
             f"{options.name}-times",
             "How long frames take; one that is skipped never comes",
             partial(pictures.draw_times, rows),
@@ -113,15 +113,15 @@ def quality(subjects: Sequence[Subject], trained: Sequence[Trained], lab: Lab, o
     rows = [row_of(t, rates[t.scene]) for t in trained]
     panels, bubbles = (5.2 * len(rates), 3.8), "PSNR over bytes; areas are seconds of training a frame"
     some = [
-        Picture(f"{options.name}-quality", "PSNR of every frame", partial(pictures.draw_quality, trained), panels),
-        Picture(f"{options.name}-sizes", bubbles, partial(pictures.draw_sizes, rows), panels),
+        PagePicture(f"{options.name}-quality", "PSNR of every frame", partial(pictures.draw_quality, trained), panels),
+        PagePicture(f"{options.name}-sizes", bubbles, partial(pictures.draw_sizes, rows), panels),
     ]
     sheet = {subject.name: side_by_side(subject, trained, lab) for subject in subjects if subject.name in options.show}
     if sheet:
         size = 2.4 * max(map(len, sheet.values())), 2.6 * len(sheet)
         draw = partial(pictures.draw_side_by_side, sheet)
         caption = "The middle frame from a held-out camera"
-        some.append(Picture(f"{options.name}-side-by-side", caption, draw, size))
+        some.append(PagePicture(f"{options.name}-side-by-side", caption, draw, size))
     tables = [Table(f"{options.name}-methods", rows)]
     return Section(in_words(rows), "Quality, size and time", some, tables)
 

@@ -239,6 +239,5 @@ def stream(one: Stream, traces: Sequence[Trace], offsets: int, fps: float) -> di
 
 
 def _mean_of(values: Sequence[float]) -> float:
-    """Mean of the values that are known; NaN where none is."""
     known = [value for value in values if not math.isnan(value)]
     return float(np.mean(known)) if known else math.nan

@@ -103,7 +103,6 @@ def _airgs(subject: Subject, quick: bool) -> Method:
 
 
 def _paper(subject: Subject, quick: bool) -> Method:
-    """The whole system of the paper: its trainer, its levels."""
     training = preset("paper", trainer_settings(subject, quick))
     return AirGS(subject.open(), training, as_in_paper(EncodeSettings()), name="airgs-paper")
 

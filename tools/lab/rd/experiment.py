@@ -16,7 +16,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from airgs_codec.errors import ConfigError
-from tools.lab import Lab, Page, Picture, Row, Section, Table, plain_log_ticks, rows_of, setting
+from tools.lab import Lab, Page, PagePicture, Row, Section, Table, plain_log_ticks, rows_of, setting
 from tools.lab.rd.coders import OURS, OURS_WHOLE, layout_trials, our_trials
 from tools.lab.rd.fourdgs import fourdgs_trials
 from tools.lab.rd.programs import splat4d_trials, splat_transform_trials
@@ -50,7 +50,7 @@ def run(options: Options, lab: Lab) -> Page:
     points = list(measure(subject, trials(options), lab))
     name = options.sequence.resolve().name
     title = f"{name}: {len(sequence)} frames"
-    picture = Picture(f"rd-{name}", title, partial(draw, points, title), (9, 5.5))
+    picture = PagePicture(f"rd-{name}", title, partial(draw, points, title), (9, 5.5))
     rows = beside(points, options.at)
     how = (
         f"{name}, {len(sequence)} frames of at most {max(header.count for header in sequence.headers):,} Gaussians, in "

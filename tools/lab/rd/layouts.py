@@ -186,7 +186,6 @@ def _v3_means(video: Video, values: Samples, qp: int) -> NDArray[np.float64]:
 
 
 def _v3_ranges(video: Video, values: Samples) -> tuple[Samples, Samples]:
-    """Low and span of each frame; a constant frame has span 1."""
     video.count_ranges(len(values))
     low = values.min(axis=1, keepdims=True)
     span = values.max(axis=1, keepdims=True) - low

@@ -107,7 +107,6 @@ def _webp(samples: Pixels) -> bytes:
 
 
 def _opaque(codes: NDArray[Any], alpha: NDArray[Any] | None = None) -> Pixels:
-    """(N, C) bytes of up to three channels as pixels."""
     pixels = np.zeros((len(codes), 4), np.uint8)
     pixels[:, : codes.shape[1]] = codes
     pixels[:, 3] = 255 if alpha is None else alpha
