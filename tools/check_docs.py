@@ -205,7 +205,6 @@ def _main_of(words: list[str]) -> tuple[Callable[[], int | None], list[str]]:
 
 
 def _refusal(words: list[str]) -> str | None:
-    """Run a program as far as its parser. None: the arguments are good."""
     parse = argparse.ArgumentParser.parse_args
 
     def stop(self: argparse.ArgumentParser, *args: object) -> None:

@@ -128,7 +128,6 @@ def _linear(inputs: int, outputs: int, draw: torch.Generator) -> torch.nn.Linear
 
 
 def _head(width: int, outputs: int, draw: torch.Generator) -> torch.nn.Sequential:
-    """Its last layer starts at 0: without training nothing deforms."""
     hidden, last = _linear(width, width, draw), _linear(width, outputs, draw)
     torch.nn.init.zeros_(last.weight)
     return torch.nn.Sequential(torch.nn.ReLU(), hidden, torch.nn.ReLU(), last)

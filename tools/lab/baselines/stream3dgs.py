@@ -260,7 +260,6 @@ class _Fit:
         return data + _wire(self._add(moved, spawned(moved, parents.numpy(), rng), target, rng, progress))
 
     def _parents(self, gradients: torch.Tensor, views: Sequence[View]) -> torch.Tensor:
-        """(U,) mask of the rows whose gradient (U,), per pixel, is high."""
         pixels = max(max(view.camera.width, view.camera.height) for view in views)
         score = gradients * pixels / 2
         return strongest(torch.where(score >= self.options.threshold, score, 0.0), self.options.most_added)

@@ -292,7 +292,6 @@ def _once(scene: str, settings: EncodeSettings, one: Mechanism | None, lab: Lab)
 
 
 def _encoded(scene: str, settings: EncodeSettings, one: Mechanism | None) -> Result:
-    """Encode a scene, and measure what comes out from held-out views."""
     place, _, held = scene.partition("@")
     place, _, views = place.partition("=")
     sequence = open_sequence(place, views=views or None)

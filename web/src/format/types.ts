@@ -70,7 +70,6 @@ export interface Canonical extends CanonicalName {
   units: Float32Array;
   /** (N) deepest level that carries a row's updates; 255: static. */
   depths: Uint8Array;
-  /** In the order of rows. */
   parts: KeyframePart[];
 }
 
@@ -87,13 +86,10 @@ export interface DeltaFrame {
 
 /** N Gaussians as they are shown. */
 export interface Gaussians {
-  /** (3N) world units. */
   means: Float32Array;
   /** (4N) w, x, y, z, of length 1. */
   quaternions: Float32Array;
-  /** (3N) ln of world units. */
   logScales: Float32Array;
-  /** (N) 0 … 1. */
   alpha: Float32Array;
   /** (N · C) r, g, b of SH DC, then of each coefficient of SH rest. */
   colours: Float32Array;
@@ -109,6 +105,5 @@ export interface Camera {
   cy: number;
   /** What is nearer than this along z is not drawn. */
   near: number;
-  /** (16) row by row. */
   worldToCamera: Float64Array;
 }

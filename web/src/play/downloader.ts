@@ -43,7 +43,6 @@ export const usableFiles = (arrival: Arrival): readonly string[] =>
 
 export interface Partial {
   atS: number;
-  /** Since its first byte. */
   elapsedS: number;
   bytes: number;
   expectedBytes: number;
@@ -83,7 +82,6 @@ export interface Shown {
   /** When its first frame is shown, as the schedule stands. */
   startS: number;
   frames: number;
-  /** Waited for it on the screen. */
   stallS: number;
   /** dB; null: lost or not measured. */
   psnr: number | null;

@@ -20,7 +20,6 @@ export class CameraPath {
   constructor(
     /** (K) ascending from 0, seconds. */
     readonly times: Row,
-    /** (K, 10) */
     readonly values: readonly Row[],
     readonly loop: boolean,
   ) {

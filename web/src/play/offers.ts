@@ -52,7 +52,6 @@ export interface SegmentOffer {
   readonly segment: number;
   readonly start: number;
   readonly stop: number;
-  /** Of play at speed 1. */
   readonly seconds: number;
   readonly group: number;
   /** The group whose rows its group reuses; null: it reuses none. */
@@ -108,9 +107,7 @@ export interface OfferTables
 
 /** Offers of a package, whose tables grow under it; a session over a growing one begins with `first`. */
 export class Offers {
-  /** (keyframe quality, level) */
   readonly rungs: readonly (readonly [number, number])[];
-  /** Such as Q1+L2. */
   readonly names: readonly string[];
   readonly fps: number;
   first = 0;

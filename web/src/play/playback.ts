@@ -55,7 +55,6 @@ export interface Voice {
 
 export interface Problem {
   message: string;
-  /** Nothing goes on by itself. */
   fatal: boolean;
   error: unknown;
 }

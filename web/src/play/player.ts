@@ -166,7 +166,6 @@ export class Player extends EventTarget {
     this.#tell("volumechange");
   }
 
-  /** 0 … 1. */
   get volume(): number {
     return this.#wishes.volume;
   }

@@ -16,7 +16,6 @@ export interface Seat {
   origin: Vector;
   /** The directions x, y and z of the room in the scene, of length 1. */
   axes: readonly [Vector, Vector, Vector];
-  /** World units a metre. */
   metre: number;
   near: number;
 }

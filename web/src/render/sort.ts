@@ -89,7 +89,6 @@ export interface SortRequest {
   key: string;
   /** null: those that were given last for this key. */
   means: Float32Array | null;
-  /** null: forget the means. */
   view: DepthView | null;
 }
 

@@ -54,7 +54,6 @@ interface Step {
   seconds: number;
   /** (P · R) bytes of rung r after rung p of the segment before, at place p R + r. */
   sizes: Float64Array;
-  /** (R) dB */
   quality: Float64Array;
 }
 

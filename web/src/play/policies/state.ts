@@ -25,7 +25,6 @@ export interface PlayerState {
   requestLatencyS: number;
   /** dB of the segment before it; null: none, or it was lost. */
   shownQuality: number | null;
-  /** Oldest first. */
   history: readonly Download[];
   /** Seconds of media that a second shows. */
   speed: number;
