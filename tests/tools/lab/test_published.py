@@ -10,7 +10,7 @@ import pytest
 from tests.faces import ConfigError
 from tests.support.paths import REPOSITORY
 from tools.check_docs import command_error
-from tools.lab import Page, Picture, Section, Table, published
+from tools.lab import Page, PagePicture, Section, Table, published
 from tools.lab.command import PROGRAM, measurement_of
 from tools.lab.experiments import FIGURES, MEASUREMENTS, NO_LONGER_MEASURED, Measurement
 from tools.lab.page import Made
@@ -84,7 +84,7 @@ def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeyp
     rows = [{"name": "a|b", "ms": 1.25, "ok": True, "more": 1}, {"name": "c", "ms": math.nan, "ok": False}]
     times = Table("times", rows, {"name": ("name", ""), "ms": ("ms", ".1f"), "ok": ("good", "")})
     brief = Table("brief", [{"name": "a", "ms": 1.25}], {"ms": ("time", ".2f")})
-    section = Section("It takes 1 ms.", "How long?", [Picture("line", "A line", lambda figure: None)], [times])
+    section = Section("It takes 1 ms.", "How long?", [PagePicture("line", "A line", lambda figure: None)], [times])
     page = Page([section, Section("No.", "More?")], "By hand.", brief=[brief])
     made = Made("thing", "How long?", "python -m tools.lab thing", "2 cores", 3.2, "2026-11-26", "abc1234", 4)
     published.publish(thing, page, made, tmp_path)
