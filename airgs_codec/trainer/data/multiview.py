@@ -27,6 +27,7 @@ from airgs_codec.scene.sequence import GaussianSequence
 if TYPE_CHECKING:
     from airgs_codec.render.backend import Loaded, Renderer
 
+FrameRange = tuple[int, int | None]  # [start, stop); None: the last one, too
 HELD_OUT_SHARE = 8  # one camera in this number is held out where a scene names none
 
 
@@ -109,7 +110,7 @@ def in_frames(posed: Sequence[Posed], shot: Callable[[Posed], Shot]) -> tuple[tu
     return tuple(map(tuple, frames.values()))
 
 
-def frames_of(scene: MultiviewScene, span: tuple[int, int | None]) -> tuple[int, int]:
+def frames_of(scene: MultiviewScene, span: FrameRange) -> tuple[int, int]:
     """Return the frames [A, B) of a scene; None: its end. Raises SceneError where it does not have them."""
     start, stop = span[0], len(scene) if span[1] is None else span[1]
     if not 0 <= start < stop <= len(scene):
@@ -206,8 +207,6 @@ class DrawnSource:
 
 def drawn_scene(sequence: GaussianSequence, cameras: Sequence[Camera], renderer: Renderer) -> MultiviewScene:
     drawing = Drawing(sequence, renderer)
-    frames = tuple(
-        tuple(Shot(camera, DrawnSource(frame, camera, drawing)) for camera in cameras) for frame in range(len(sequence))
-    )
-    background, origin = sequence.background, sequence.origin
+    count, background, origin = len(sequence), sequence.background, sequence.origin
+    frames = tuple(tuple(Shot(c, DrawnSource(frame, c, drawing)) for c in cameras) for frame in range(count))
     return MultiviewScene(sequence.folder, sequence.fps, frames, None, background, sequence, origin=origin)

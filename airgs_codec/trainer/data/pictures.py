@@ -17,7 +17,6 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
-from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -30,26 +29,24 @@ from airgs_codec.scene.camera import Background, Camera, with_pixels
 from airgs_codec.trainer.data.multiview import MultiviewScene, Shot
 from airgs_codec.trainer.settings import OFF, RANDOM, TrainSettings, named_background
 
-PICTURE_BYTES = 1 << 30  # of pictures in 8 bits: 40 in 4K, or 170 in 1080p
-TARGET_BYTES = 2 << 30  # of targets: 7 in 4K, or 28 in 1080p
+# Bytes of pictures in 8 bits, 40 in 4K or 170 in 1080p, and of targets, 7 in 4K or 28 in 1080p.
+MEMORY = PICTURE_BYTES, TARGET_BYTES = 1 << 30, 2 << 30
 
 Key = TypeVar("Key", bound=Hashable)
-Value = TypeVar("Value")
+Value = TypeVar("Value", bound=Any)  # has its bytes as `nbytes`
 
 
 class Recent(Generic[Key, Value]):
     """Values that are made on demand, of which those used last stay in memory."""
 
-    def __init__(
-        self, make: Callable[[Key], Value], most: int, size_of: Callable[[Value], int] = attrgetter("nbytes")
-    ) -> None:
+    def __init__(self, make: Callable[[Key], Value], most: int) -> None:
         """`most`: bytes of all; the newest value stays whatever it takes."""
-        self._make, self._most, self._size_of = make, most, size_of
+        self._make, self._most = make, most
         self._values: OrderedDict[Key, Value] = OrderedDict()
 
     @property
     def nbytes(self) -> int:
-        return sum(map(self._size_of, self._values.values()))
+        return sum(value.nbytes for value in self._values.values())
 
     def get(self, key: Key) -> Value:
         if key not in self._values:
@@ -142,19 +139,15 @@ class ScenePictures:
     """The pictures of a scene at training size, of one exposure, with plates where they are at rest."""
 
     def __init__(
-        self,
-        scene: MultiviewScene,
-        settings: TrainSettings | None = None,
-        picture_bytes: int = PICTURE_BYTES,
-        target_bytes: int = TARGET_BYTES,
+        self, scene: MultiviewScene, settings: TrainSettings | None = None, memory: Sequence[int] = MEMORY
     ) -> None:
-        """Read nothing yet; `picture_bytes`, `target_bytes`: bounds of the memory of pictures in 8 bits and targets."""
-        self._scene, self._settings, self._target_bytes = scene, settings or TrainSettings(), target_bytes
+        """Read nothing yet; `memory`: bytes of pictures in 8 bits, and of targets."""
+        self._scene, self._settings, self._target_bytes = scene, settings or TrainSettings(), memory[1]
         self.background = named_background(self._settings.background) or scene.background
         self.exposure: Exposure = {}
         self.plates: Plates = {}  # of every training camera; none: nothing is known to be at rest
         self._moving: dict[int, Masks] = {}  # of the last frame that was a target
-        self._stored, self._targets = Recent(self._load, picture_bytes), Recent(self._make_target, target_bytes)
+        self._stored, self._targets = Recent(self._load, memory[0]), Recent(self._make_target, memory[1])
 
     def with_exposure(self, exposure: Exposure) -> ScenePictures:
         """Return the same pictures as the average camera would have exposed them; the buffer in 8 bits is shared."""
@@ -174,10 +167,10 @@ class ScenePictures:
         return self._stored.nbytes + self._targets.nbytes
 
     def train(self, frame: int) -> list[View]:
-        return self._split(frame, held_out=False)
+        return [self.view(frame, i) for i, s in enumerate(self._scene.frames[frame]) if not s.camera.held_out]
 
     def held_out(self, frame: int) -> list[View]:
-        return self._split(frame, held_out=True)
+        return [self.view(frame, i) for i, s in enumerate(self._scene.frames[frame]) if s.camera.held_out]
 
     def target(self, frame: int, start: int) -> FrameViews:
         """Return a frame as it is fitted from the Gaussians of the frame `start`."""
@@ -196,10 +189,6 @@ class ScenePictures:
         """Return the training views of a frame with their plates where they are at rest, and masks where not."""
         views = self.train(frame)
         return settle(views, self.plates, self.exposure) if self.plates else (views, None)
-
-    def _split(self, frame: int, held_out: bool) -> list[View]:
-        shots = self._scene.frames[frame]
-        return [self.view(frame, i) for i, s in enumerate(shots) if s.camera.held_out == held_out]
 
     def view(self, frame: int, index: int) -> View:
         shot = self._scene.frames[frame][index]
@@ -241,15 +230,15 @@ class ScenePictures:
         camera, data = self._scaled(shot.camera), shot.source.read(shot.size)
         self._check_mask(shot)
         mask = read_mask(shot.mask, shot.size) if self._settings.foreground != OFF and shot.mask else None
-        if mask is None and data.shape[2] == 3:
-            if self._settings.background == RANDOM:
-                raise SceneError(f"{shot.source}: expected alpha for random backgrounds, got an opaque picture")
-            if shot.lens is None and shot.size == (camera.width, camera.height):
-                return np.ascontiguousarray(data)
-            whole = to_floats(data)
-        else:
-            values = to_floats(data)
-            rgb, alpha = values[..., :3], values[..., 3] if data.shape[2] == 4 else np.ones(data.shape[:2], np.float32)
+        opaque = data.shape[2] == 3
+        plain = opaque and mask is None
+        if plain and self._settings.background == RANDOM:
+            raise SceneError(f"{shot.source}: expected alpha for random backgrounds, got an opaque picture")
+        if plain and shot.lens is None and shot.size == (camera.width, camera.height):
+            return np.ascontiguousarray(data)
+        whole = to_floats(data)
+        if not plain:
+            rgb, alpha = whole[..., :3], np.ones(data.shape[:2], np.float32) if opaque else whole[..., 3]
             clear = 1 - (alpha if mask is None else alpha * mask)[..., None]
             whole = np.concatenate([(1 - clear) * rgb + clear * np.array(self.background, np.float32), clear], axis=2)
         if shot.lens:

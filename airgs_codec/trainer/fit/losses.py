@@ -111,9 +111,7 @@ def zeros_like(p: Mapping[str, torch.Tensor]) -> Parameters:
     return {name: torch.zeros_like(value) for name, value in p.items()}
 
 
-def take_and_append(
-    old: Mapping[str, torch.Tensor], keep: torch.Tensor, new: Mapping[str, torch.Tensor] | None
-) -> Parameters:
+def take_and_append(old: Parameters, keep: torch.Tensor, new: Parameters | None) -> Parameters:
     """Return the rows of `old` in the mask `keep` (N,), in order, and the rows of `new` after them."""
     return {n: v[keep] if new is None else torch.cat([v[keep], new[n]]) for n, v in old.items()}
 
@@ -216,30 +214,23 @@ def temporal_weights(temporal: Temporal, steps: Mapping[str, torch.Tensor]) -> P
     return {name: temporal.weight / (len(step) * step) for name, step in steps.items()}
 
 
-def codec_steps(
-    g: Gaussians, cameras: Sequence[Camera], steps: StepSettings | None = None, renderer: Renderer = CPU
-) -> Parameters:
+def codec_steps(g: Gaussians, cameras: Sequence[Camera], renderer: Renderer = CPU) -> Parameters:
     """Return a codec step for every element of the stored attributes, to first order, where the Gaussians are now.
 
     Means: the row's motion unit, by how much pictures depend on it. Quaternions: half the rotation's step, as a small
     rotation w changes a unit quaternion by w / 2. Opacity: the step of alpha over alpha's derivative by the logit,
     which is at least 0.02: near 0 and 1 a step of alpha is no finite logit.
     """
-    state = (steps or StepSettings()).delta
+    delta, alpha = StepSettings().delta, g.opacities()
+    scale = scene_scale(cameras, g.means, alpha)
     sensitivity = measure_sensitivity([g], cameras, renderer)
-    scale = scene_scale(cameras, g.means, g.opacities())
-    unit = scale * motion_units(classify_motion(sensitivity.means, g, scale))
-    alpha = g.opacities()
+    means = scale * motion_units(classify_motion(sensitivity.means, g, scale)) * delta.means
     length = np.linalg.norm(g.quaternions.astype(np.float64), axis=1, keepdims=True)
-    table = {
-        "means": np.broadcast_to((unit * state.means)[:, None], g.means.shape),
-        "quaternions": np.broadcast_to(state.quaternions / 2 * np.maximum(length, 1e-12), g.quaternions.shape),
-        "log_scales": np.full(g.log_scales.shape, state.log_scales),
-        "opacity_logits": state.opacity / np.maximum(alpha * (1 - alpha), 0.02),
-        "sh_dc": np.full(g.sh_dc.shape, state.sh_dc),
-        "sh_rest": np.full(g.sh_rest.shape, state.sh_rest),
-    }
-    return {name: torch.from_numpy(np.ascontiguousarray(table[name], np.float32)) for name in GAUSSIAN_FIELDS}
+    quaternions = delta.quaternions / 2 * np.maximum(length, 1e-12)
+    opacity = delta.opacity / np.maximum(alpha * (1 - alpha), 0.02)
+    columns = means[:, None], quaternions, delta.log_scales, opacity, delta.sh_dc, delta.sh_rest
+    shaped = {n: np.broadcast_to(c, getattr(g, n).shape) for n, c in zip(GAUSSIAN_FIELDS, columns, strict=True)}
+    return {name: torch.from_numpy(column.astype(np.float32)) for name, column in shaped.items()}
 
 
 PSNR_DEFINITION = "mean over views of the PSNR of each, in dB"

@@ -51,9 +51,7 @@ EPSILON = 1e-12
 class Adam:
     """Adam (Kingma and Ba 2015) over named tensors whose rows may come and go."""
 
-    def __init__(
-        self, parameters: Mapping[str, torch.Tensor], rates: Mapping[str, float], epsilon: float = EPSILON
-    ) -> None:
+    def __init__(self, parameters: Parameters, rates: Mapping[str, float], epsilon: float = EPSILON) -> None:
         """`parameters` are copied and made leaves; `rates` may be changed between steps through `self.rates`."""
         self._epsilon, self.rates, self._steps = epsilon, dict(rates), 0
         self.parameters = {name: p.detach().clone().requires_grad_(True) for name, p in parameters.items()}
@@ -87,7 +85,7 @@ class Adam:
         for moments in (self._first, self._second):
             moments[name] = torch.zeros_like(values)
 
-    def replace_rows(self, keep: torch.Tensor, added: Mapping[str, torch.Tensor] | None = None) -> None:
+    def replace_rows(self, keep: torch.Tensor, added: Parameters | None = None) -> None:
         """Keep the rows of a mask (N,), in order, and append new ones, whose moments start at 0."""
         rows = take_and_append({name: p.detach() for name, p in self.parameters.items()}, keep, added)
         self.parameters = {name: p.requires_grad_(True) for name, p in rows.items()}

@@ -195,7 +195,7 @@ class Trainer:
         return FitGroup(mean_psnr(g, views, self.renderer), self.steps(g, views), networks)
 
     def steps(self, g: Gaussians, views: Sequence[View]) -> Parameters:
-        steps = codec_steps(g, [v.camera for v in views], renderer=self.renderer)
+        steps = codec_steps(g, [v.camera for v in views], self.renderer)
         return {name: s.to(self.device) for name, s in steps.items()}
 
     @property
@@ -293,11 +293,7 @@ def find_active(
     of its blending weights over all views falls on moving pixels, and a tile is drawn with 8 pixels of active rows.
     """
     loaded, rows = loading(before, renderer), len(before.gaussians if isinstance(before, InMotion) else before)
-    renders: Recent[int, cpu.Render] = Recent(  # up to 1 GiB; others are drawn again
-        lambda place: loaded(views[place].after).draw(views[place].camera),
-        1 << 30,
-        lambda picture: picture.rgb.nbytes + picture.transmittance.nbytes,
-    )
+    renders = Recent[int, cpu.Render](lambda i: loaded(views[i].after).draw(views[i].camera), 1 << 30)  # bytes
     weights, on_moving, whole = [], np.zeros(rows), np.zeros(rows)
     for place, (view, mask) in enumerate(zip(views, moving, strict=True)):
         w = loaded(view.after).weights(view.camera, mask)

@@ -24,7 +24,7 @@ def fit(g, shown, iterations, **more):
 
 
 def test_a_fit_is_the_same_whatever_is_kept_in_memory(moving):
-    many, few = (faces.Pictures(open_scene(moving), picture_bytes=n, target_bytes=n) for n in (1 << 30, 1))
+    many, few = (faces.Pictures(open_scene(moving), memory=(n, n)) for n in (1 << 30, 1))
     a, b = (fit(coloured_cloud(30), pictures.train(0), 12) for pictures in (many, few))
     assert few.nbytes < 48 * 48 * (3 + 36) + 1  # one of each
     assert all(torch.equal(a[name], b[name]) for name in a)
