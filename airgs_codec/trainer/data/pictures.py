@@ -69,7 +69,6 @@ class TargetPicture:
         """`rgb`: (H, W, 3), 0..1. `clear`: (H, W) share of the background in it; None: not known."""
         self.rgb, self.clear = np.ascontiguousarray(rgb, np.float32), clear
         self.moments: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None  # (H, n), by `fit.losses.moments`
-        self.on_device: Any = None  # a tensor of `rgb`, where the loss is computed on a device
 
     @property
     def rows(self) -> NDArray[np.float32]:
@@ -83,14 +82,14 @@ class TargetPicture:
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
     camera: Camera
-    picture: TargetPicture | Callable[[], TargetPicture]  # it, or what reads it
+    picture: Any  # `TargetPicture`, or what reads it; or a tensor of it, where the loss is computed on a device
     redraw: Redraw | None = None  # None: the whole picture is drawn
     after: float = 0.0  # as in `Shot`
 
     @property
-    def target(self) -> TargetPicture:
+    def target(self) -> Any:
         """Return the picture; hold it no longer than needed. Raises SceneError where it cannot be read."""
-        return self.picture if isinstance(self.picture, TargetPicture) else self.picture()
+        return self.picture() if callable(self.picture) else self.picture
 
     def before(self, background: Background) -> View:
         """Return the same before another background. Raises ValueError where the picture has no alpha."""

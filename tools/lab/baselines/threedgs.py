@@ -96,7 +96,7 @@ class Splats:
         Raises TrainingError where no row is left.
         """
         if iteration < self.timetable.stop:
-            lengths, seen = self._absgrad.signed()
+            lengths, seen = self._absgrad.read(signed=True)
             self._sum += lengths
             self._count += seen
         self._adam.rates = self._rates.at(iteration / iterations, self._extent)

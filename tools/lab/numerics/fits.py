@@ -96,9 +96,8 @@ def views_of(problem: Problem) -> list[View]:
 
 
 def loss(parameters: Parameters, views: Sequence[View]) -> torch.Tensor:
-    pictures = render_views(parameters, [view.camera for view in views], 0)
-    parts = [photometric(rgb, v.target) for (rgb, _), v in zip(pictures, views, strict=True)]
-    return torch.stack(parts).mean()
+    pictures, _ = render_views(parameters, [view.camera for view in views], 0)
+    return photometric(pictures, [view.target for view in views]).mean()
 
 
 def fit(
