@@ -221,10 +221,9 @@ def _new_keyframe(
     capture: Capture, target: FrameViews, before: InMotion, steps: Parameters, left: range, progress: Progress
 ) -> InMotion:
     """Fit a keyframe. Where Gaussians are given: those of the frame before and what is missing, if that shows all."""
-    trainer = capture.trainer
     if capture.scene.given is None:
-        return trainer.fit_keyframe(target, before, steps, progress)
-    given = capture.given(target.frame)
+        return capture.trainer.fit_keyframe(target, before, steps, progress)
+    trainer, given = capture.trainer, capture.given(target.frame)
     g = follow(trainer, before, given, target)
     g = Gaussians.join([g, given.take(missing(trainer, g, given, target))])
     group = FitGroup(math.inf, trainer.steps(g, target.views), None)

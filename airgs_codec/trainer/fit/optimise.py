@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
 from typing import Any, Protocol
 
@@ -529,14 +530,14 @@ def optimise(
     losses, iterations = LossCheck(LOOK_EVERY if on_device else 1), schedule.iterations
     halved = round(schedule.coarse * iterations) if can_be_halved(views) else 0
     coarse = [halve(view) for view in views] if halved else []
-    if on_device and not schedule.random_background:
-        views, coarse = (uploaded(of, place.device) for of in (views, coarse))
+    ready = partial(uploaded, device=place.device) if on_device else list[View]
+    if not schedule.random_background:
+        views, coarse = ready(views), ready(coarse)
     for iteration in range(1, iterations + 1):
         chosen = list(islice(order, min(schedule.views, len(views))))
         seen = [views[i] if iteration > halved else coarse[i] for i in chosen]
         if schedule.random_background:
-            seen = [view.before(tuple(rng.uniform(size=3).tolist())) for view in seen]
-            seen = uploaded(seen, place.device) if on_device else seen
+            seen = ready([view.before(tuple(rng.uniform(size=3).tolist())) for view in seen])
         parts = []
         for places, rgb in drawn(variables, seen, schedule.sh_degree(iteration / iterations)):
             shown = exposure.apply(rgb, [chosen[place] for place in places]) if exposure else rgb
