@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from airgs_codec.render import cpu
-from airgs_codec.render.cpu import DILATION, FAR_PLANE, Floats, Loaded, RasterInputs, Redraw, Render
+from airgs_codec.render.cpu import DILATION, FAR_PLANE, Floats, Loaded, RasterInputs, Render
 from airgs_codec.scene.camera import Background, Camera
 
 Pictures = tuple[torch.Tensor, torch.Tensor]  # rgb (C, H, W, 3) and transmittance (C, H, W)
@@ -109,16 +109,13 @@ def _summed(found: list[tuple[torch.Tensor, ...]], signed: bool) -> tuple[torch.
 
 
 def rasterize(
-    inputs: RasterInputs[torch.Tensor],
-    cameras: Sequence[Camera],
-    absgrad: AbsGrad | None = None,
-    redraws: Sequence[Redraw | None] | None = None,
+    inputs: RasterInputs[torch.Tensor], cameras: Sequence[Camera], absgrad: AbsGrad | None = None, redraws: Any = None
 ) -> Pictures:
     """Draw what cameras of one size and near plane see, each before its own background: float32, differentiable.
 
-    `absgrad` can be read after the backward pass. `redraws`: one for each camera; only its tiles are drawn and have
-    gradients (gsplat draws all). Pixels of gsplat may differ from the CPU renderer's by 5e-3 where alpha is next to
-    1/255, others by 1e-5.
+    `absgrad` can be read after the backward pass. `redraws`: a `Redraw` or None for each camera; only its tiles are
+    drawn and have gradients (gsplat draws all). Pixels of gsplat may differ from the CPU renderer's by 5e-3 where alpha
+    is next to 1/255, others by 1e-5.
     """
     if not by_gsplat(inputs.means):
         pictures: Pictures = _Rasterize.apply(*inputs, cameras, absgrad, redraws)
@@ -130,21 +127,10 @@ def rasterize(
     # What gsplat makes of SH by itself inverts the matrices of the cameras at every call, and waits for that.
     towards = inputs.means - places[:, None]
     sh = inputs.sh.expand(len(cameras), -1, -1, -1)
-    colours = spherical_harmonics(inputs.sh_degree, towards, sh, masks=towards.any(dim=-1))
-    rgb, alpha, meta = rasterization(
-        *inputs[:4],
-        (colours + 0.5).relu(),
-        views,
-        lenses,
-        first.width,
-        first.height,
-        near_plane=first.near,
-        far_plane=FAR_PLANE,
-        eps2d=DILATION,
-        packed=False,
-        backgrounds=backgrounds,
-        absgrad=absgrad is not None,
-    )
+    colours = (spherical_harmonics(inputs.sh_degree, towards, sh, masks=towards.any(dim=-1)) + 0.5).relu()
+    size, planes = (first.width, first.height), {"near_plane": first.near, "far_plane": FAR_PLANE}
+    more = {"eps2d": DILATION, "packed": False, "backgrounds": backgrounds, "absgrad": absgrad is not None}
+    rgb, alpha, meta = rasterization(*inputs[:4], colours, views, lenses, *size, **planes, **more)
     if absgrad is not None:
         projected, radii = meta["means2d"], meta["radii"]
         projected.retain_grad()  # gsplat and torch leave gradients on the projected means

@@ -56,20 +56,16 @@ def read_transforms(folder: Path) -> MultiviewScene:
     """
     path = folder / forms.TRANSFORMS
     posed = read_posed(path)
-    fps, points = _frame_rate(path), _named_points(folder, read_object(path).get("ply_file_path"))
+    fps, points, name = _frame_rate(path), None, read_object(path).get("ply_file_path")
+    if name is not None:
+        with expecting(path, "the points of ply_file_path"):
+            if not isinstance(name, str) or not (folder / as_path(name)).is_file():
+                raise ValueError(f"got no file {name}")
+        points = Points(*read_points(folder / as_path(name)))
     films = {p.camera.name: (_picture_shot(folder, p), folder / p.picture) for p in posed}
     if all(path.suffix.lower() in VIDEO_SUFFIXES for _, path in films.values()):
         return replace(scene_from_films(folder, list(films.values())), points=points)
     return MultiviewScene(folder, fps, in_frames(posed, partial(_picture_shot, folder)), points)
-
-
-def _named_points(folder: Path, name: object) -> Points | None:
-    if name is None:
-        return None
-    with expecting(folder / forms.TRANSFORMS, "the points of ply_file_path"):
-        if not isinstance(name, str) or not (folder / as_path(name)).is_file():
-            raise ValueError(f"got no file {name}")
-    return Points(*read_points(folder / as_path(name)))
 
 
 def _picture_shot(folder: Path, posed: Posed) -> Shot:

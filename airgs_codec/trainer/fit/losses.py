@@ -32,7 +32,7 @@ from airgs_codec.render import cuda
 from airgs_codec.render.backend import CPU, Loaded, Renderer
 from airgs_codec.render.compare import compare
 from airgs_codec.render.cpu import POOLED, RasterInputs
-from airgs_codec.render.cuda import AbsGrad, rasterize, upload
+from airgs_codec.render.cuda import AbsGrad, Pictures, rasterize, upload
 from airgs_codec.scene.camera import Camera, scene_scale
 from airgs_codec.scene.frames import QUATERNION_MIN_NORM
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
@@ -117,17 +117,13 @@ def take_and_append(old: Parameters, keep: torch.Tensor, new: Parameters | None)
     return {n: v[keep] if new is None else torch.cat([v[keep], new[n]]) for n, v in old.items()}
 
 
-def render(
-    p: Mapping[str, torch.Tensor], camera: Camera, sh_degree: int, absgrad: AbsGrad | None = None
-) -> tuple[torch.Tensor, torch.Tensor]:
+def render(p: Parameters, camera: Camera, sh_degree: int, absgrad: AbsGrad | None = None) -> Pictures:
     """Draw the picture (H, W, 3) and its transmittance (H, W), differentiable, with SH up to `sh_degree`."""
     rgb, transmittance = render_views(p, [camera], sh_degree, absgrad)
     return rgb[0], transmittance[0]
 
 
-def render_views(
-    p: Mapping[str, torch.Tensor], cameras: Sequence[Camera], sh_degree: int, *more: Any
-) -> tuple[torch.Tensor, torch.Tensor]:
+def render_views(p: Parameters, cameras: Sequence[Camera], sh_degree: int, *more: Any) -> Pictures:
     """Draw the same for each of several cameras (C, H, W, ...); `more`: of `rasterize`."""
     sh = torch.cat([p["sh_dc"][:, None], p["sh_rest"][:, : SH_REST[sh_degree]]], dim=1)
     scales, opacities = p["log_scales"].exp(), p["opacity_logits"].sigmoid()
@@ -218,10 +214,10 @@ def uploaded(views: Sequence[View], device: torch.device) -> list[View]:
     for view in views:
         rgb = view.target.rgb
         levels = to_bytes(rgb)
-        exact = np.array_equal(to_floats(levels), rgb)
-        found.append(upload(np.moveaxis(levels if exact else rgb, 2, 0), device))
-    found = found if len({one.dtype for one in found}) == 1 else list(map(as_floats, found))
-    return [replace(view, picture=one) for view, one in zip(views, found, strict=True)]
+        planes = upload(np.moveaxis(levels if np.array_equal(to_floats(levels), rgb) else rgb, 2, 0), device)
+        found.append(replace(view, picture=planes))
+    alike = len({view.target.dtype for view in found}) == 1
+    return found if alike else [replace(view, picture=as_floats(view.target)) for view in found]
 
 
 def as_floats(levels: torch.Tensor) -> torch.Tensor:

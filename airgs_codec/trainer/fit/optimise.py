@@ -57,7 +57,7 @@ class Adam:
         """`parameters` are copied and made leaves; `rates` may be changed between steps through `self.rates`."""
         self._epsilon, self.rates, self._steps = epsilon, dict(rates), 0
         self.parameters = {name: p.detach().clone().requires_grad_(True) for name, p in parameters.items()}
-        self._first, self._second = zeros_like(parameters), zeros_like(parameters)  # moments
+        self.moments = zeros_like(parameters), zeros_like(parameters)
 
     @torch.no_grad()
     def step(self, shrink: Mapping[str, torch.Tensor] | None = None) -> None:
@@ -69,7 +69,7 @@ class Adam:
         self._steps += 1
         bias = [1 - beta**self._steps for beta in BETAS]
         names = [name for name, p in self.parameters.items() if p.grad is not None]
-        moved, first, second = ([of[n] for n in names] for of in (self.parameters, self._first, self._second))
+        moved, first, second = ([of[n] for n in names] for of in (self.parameters, *self.moments))
         gradients: list[Any] = [p.grad for p in moved]
         rates = [self.rates[name] for name in names]
         torch._foreach_lerp_(first, gradients, 1 - BETAS[0])
@@ -87,18 +87,13 @@ class Adam:
         for p in moved:
             p.grad = None
 
-    def replace_values(self, name: str, values: torch.Tensor) -> None:
-        """Replace the values of a parameter; its moments start at 0 again."""
-        self.parameters[name] = values.detach().clone().requires_grad_(True)
-        for moments in (self._first, self._second):
-            moments[name] = torch.zeros_like(values)
-
     def replace_rows(self, keep: torch.Tensor, added: Parameters | None = None) -> None:
         """Keep the rows of a mask (N,), in order, and append new ones, whose moments start at 0."""
         rows = take_and_append({name: p.detach() for name, p in self.parameters.items()}, keep, added)
         self.parameters = {name: p.requires_grad_(True) for name, p in rows.items()}
         zeros = None if added is None else zeros_like(added)
-        self._first, self._second = (take_and_append(m, keep, zeros) for m in (self._first, self._second))
+        first, second = (take_and_append(moments, keep, zeros) for moments in self.moments)
+        self.moments = first, second
 
 
 # Adam's steps of 3DGS (Kerbl et al. 2023); of means in units of the scene's extent.
@@ -124,15 +119,6 @@ class Rates:
         rates["means"] = RATES["means"] * self.factor * self.means * self.means_last**done * extent
         rates[MOTION] = rates["means"]
         return rates
-
-
-@dataclass(frozen=True, slots=True)
-class Regularisers:
-    """Weights of what is added to the loss of the pictures."""
-
-    opacity: float = 0.0  # of the mean opacity
-    scale: float = 0.0  # of the mean scale over the scene's extent
-    inflation: float = 0.0  # of the summed opacity of the rows past the first U
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,7 +156,9 @@ class PerGaussian:
     temporal: Parameters | None = None  # weight of |D| of each element, `temporal_weights`; 0 in rows that are new
     until: float = 1.0  # share of the iterations in which it acts
     fixed: int = 0  # U
-    regularisers: Regularisers = field(default_factory=Regularisers)
+    opacity_weight: float = 0.0  # in the loss, of the mean opacity
+    scale_weight: float = 0.0  # of the mean scale over the scene's extent
+    inflation: float = 0.0  # weight of the summed opacity of the rows past the first U
     densifier: Densifier | None = None  # None: no rows are added
     clears: Callable[[Gaussians], NDArray[np.bool_]] | None = None  # rows (N,) that hang in open space and go
     resting: Resting | None = None  # rows that are drawn but not fitted; None: all are fitted
@@ -222,15 +210,13 @@ class PerGaussian:
 
         In place of L_inf = max(0, N - U), which has no gradient, acts the added opacity.
         """
-        r = self.regularisers
         total: torch.Tensor | float = 0.0
-        fitted = self._drawn
-        if r.opacity:
-            total = total + r.opacity * fitted["opacity_logits"].sigmoid().mean()
-        if r.inflation and len(self.base["means"]) > self.fixed:
-            total = total + r.inflation * fitted["opacity_logits"][self.fixed :].sigmoid().sum()
-        if r.scale:
-            total = total + r.scale / self.extent * fitted["log_scales"].exp().mean()
+        if self.opacity_weight:
+            total = total + self.opacity_weight * self._drawn["opacity_logits"].sigmoid().mean()
+        if self.inflation and len(self.base["means"]) > self.fixed:
+            total = total + self.inflation * self._drawn["opacity_logits"][self.fixed :].sigmoid().sum()
+        if self.scale_weight:
+            total = total + self.scale_weight / self.extent * self._drawn["log_scales"].exp().mean()
         return total
 
     def step(self, iteration: int, iterations: int) -> None:

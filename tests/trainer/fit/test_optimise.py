@@ -212,16 +212,6 @@ def test_shrinking_ends_at_the_minimum_of_the_l1_problem():
     assert (result[expected == 0] == 0).all()
 
 
-def test_other_values_begin_without_moments():
-    adam = Adam(random_parameters(3), RATES)
-    push(adam, 1.0)
-    before = {n: p.detach().clone() for n, p in adam.parameters.items()}
-    adam.replace_values("opacity_logits", torch.zeros(3))
-    push(adam, 0.0)
-    assert adam.parameters["opacity_logits"].tolist() == [0.0, 0.0, 0.0]
-    assert not torch.equal(adam.parameters["means"], before["means"])
-
-
 def test_rows_are_left_out_of_pictures_alone_and_the_more_the_longer_a_fit_goes_on():
     base = from_gaussians(random_gaussians(400, 1))
     variables = PerGaussian(base, 1.0, dropout=0.5)

@@ -105,7 +105,10 @@ class Splats:
             if self.timetable.densifies(iteration):
                 self._densify(iteration)
             if self.timetable.resets(iteration):
-                self._adam.replace_values("opacity_logits", reset_opacity(self._adam.parameters["opacity_logits"]))
+                logits = self._adam.parameters["opacity_logits"]
+                logits.copy_(reset_opacity(logits))
+                for moments in self._adam.moments:
+                    moments["opacity_logits"].zero_()
 
     def _restart(self) -> None:
         self._sum, self._count = torch.zeros(2, len(self._adam.parameters["means"]))
