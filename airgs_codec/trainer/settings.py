@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
@@ -16,6 +17,7 @@ from airgs_codec.scene.gaussians import SH_REST
 FIRST, FIRST_A_VIEW = 2500, 60  # iterations of a first frame: the larger of both; 97 photos had not settled at 2500
 LEAST_BUDGET, MOST_BUDGET = 8_000, 64_000  # Gaussians of a first frame, where its pictures decide
 DELTAS = ("direct", "mlp", "mlp+residual")
+DELTAS_WORDS = "direct; mlp+residual on CUDA"
 TRAIN_PRESETS = ("default", "paper")
 ON, OFF = "on", "off"
 MATCHES = (AUTO, ON, OFF)
@@ -60,9 +62,8 @@ class TrainSettings:
     frame_iterations: int = setting(300, "iterations of a frame in a group")
     iteration_views: int = setting(1, "pictures that an iteration sees", default="1; 4 on CUDA")
     deltas: str = setting(
-        "direct", "how frames in a group move: each Gaussian on its own, by six MLPs, or by both", choices=DELTAS,
-        default="direct; mlp+residual on CUDA",
-    )  # fmt: skip
+        DELTAS[0], "how frames move: Gaussian by Gaussian, by six MLPs, or both", choices=DELTAS, default=DELTAS_WORDS
+    )
     coarse: float = setting(0.4, "share of a frame's iterations, the first ones, that see pictures of half the size")
     ssim_weight: float = setting(0.4, "share of 1 - SSIM in the loss of a picture; the rest is the absolute difference")
     regularised: bool = setting(True, "weigh opacity and scale in the loss of a first frame, so that space stays empty")
@@ -107,17 +108,15 @@ class TrainSettings:
 
     def __post_init__(self) -> None:
         named_background(self.background)
+        values = asdict(self) | asdict(self.temporal)
         for one in (*fields(self), *fields(self.temporal)):
-            known = one.metadata.get("choices")
-            value = getattr(self if hasattr(self, one.name) else self.temporal, one.name)
-            if known and value not in known:
-                raise ConfigError(f"expected {one.name} {', '.join(known)}, got {value}")
-        given = {name: value for name, value in (asdict(self) | asdict(self.temporal)).items() if value is not None}
+            if values[one.name] not in (known := one.metadata.get("choices", [values[one.name]])):
+                raise ConfigError(f"expected {one.name} {', '.join(known)}, got {values[one.name]}")
         for least, most, names in BOUNDS:
             for name in names.split():
-                if name in given and not (least <= given[name] <= most and given[name] < math.inf):
+                if (value := values[name]) is not None and not (least <= value <= most and value < math.inf):
                     bounds = f"at least {least}" if most == math.inf else f"{least} to {most}"
-                    raise ConfigError(f"expected {name} of {bounds}, got {given[name]}")
+                    raise ConfigError(f"expected {name} of {bounds}, got {value}")
         if not (0 < self.temporal.until <= 1 and self.max_drop_db > 0):
             words = f"got {self.temporal.until} and {self.max_drop_db}"
             raise ConfigError(f"expected until of 0 to 1 and max_drop_db above 0, {words}")
@@ -148,12 +147,10 @@ def named_background(text: str | None) -> Background | None:
     """Return the colour that a `background` names; None for None and RANDOM, which name none. Raises ConfigError."""
     if text is None or text == RANDOM:
         return None
-    try:
+    with suppress(ValueError):
         r, g, b = BACKGROUNDS[text] if text in BACKGROUNDS else map(float, text.split(","))
         if all(0 <= value <= 1 for value in (r, g, b)):
             return r, g, b
-    except ValueError:
-        pass
     raise ConfigError(f"expected a background of black, white, random or R,G,B of 0 to 1, got {text!r}")
 
 

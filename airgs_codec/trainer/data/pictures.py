@@ -22,11 +22,12 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._sampling import evenly_spaced
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import box_mean, check_picture, read_mask, resize, to_bytes, to_floats, undistort
 from airgs_codec.render.cpu import Redraw
 from airgs_codec.scene.camera import Background, Camera, with_pixels
-from airgs_codec.trainer.data.multiview import MultiviewScene, Shot
+from airgs_codec.trainer.data.multiview import MultiviewScene
 from airgs_codec.trainer.settings import OFF, RANDOM, TrainSettings, named_background
 
 # Bytes of pictures in 8 bits, 40 in 4K or 170 in 1080p, and of targets, 7 in 4K or 28 in 1080p.
@@ -209,14 +210,15 @@ class ScenePictures:
                     self._stored.get((frame, index))
                 else:
                     shot.source.check(shot.size)
-                    self._check_mask(shot)
+                if self._settings.foreground != OFF:
+                    if shot.mask is None:
+                        raise SceneError(f"{shot.source}: expected a mask of the foreground, the scene has none")
+                    check_picture(shot.mask, shot.size)
 
     def _scaled(self, camera: Camera) -> Camera:
-        camera, longest = replace(camera, background=self.background), max(camera.width, camera.height)
-        factor = (self._settings.max_size or longest) / longest
-        if factor >= 1:
-            return camera
-        return with_pixels(camera, max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
+        size = camera.width, camera.height
+        factor = min(1.0, (self._settings.max_size or max(size)) / max(size))
+        return with_pixels(replace(camera, background=self.background), *(max(1, round(n * factor)) for n in size))
 
     def _make_target(self, key: tuple[int, int]) -> TargetPicture:
         stored, shot = self._stored.get(key), self._scene.frames[key[0]][key[1]]
@@ -227,7 +229,6 @@ class ScenePictures:
         """Return (H, W, 3) before the background; with alpha or a mask (H, W, 4), the last being its share."""
         shot = self._scene.frames[key[0]][key[1]]
         camera, data = self._scaled(shot.camera), shot.source.read(shot.size)
-        self._check_mask(shot)
         mask = read_mask(shot.mask, shot.size) if self._settings.foreground != OFF and shot.mask else None
         opaque = data.shape[2] == 3
         plain = opaque and mask is None
@@ -243,12 +244,6 @@ class ScenePictures:
         if shot.lens:
             whole = undistort(whole, shot.lens)
         return to_bytes(resize(whole, camera.width, camera.height))
-
-    def _check_mask(self, shot: Shot) -> None:
-        if self._settings.foreground != OFF:
-            if shot.mask is None:
-                raise SceneError(f"{shot.source}: expected a mask of the foreground, the scene has none")
-            check_picture(shot.mask, shot.size)
 
 
 def normalised(picture: NDArray[np.float32], values: Sequence[float] | None) -> NDArray[np.float32]:
@@ -277,7 +272,7 @@ def plate_sources(scene: MultiviewScene) -> list[tuple[int, list[int]]]:
     """Return the training cameras that plates are taken from, as numbers, and the frames of each."""
     if len(scene) < 3 or not stands_still(scene):
         return []
-    frames: list[int] = np.unique(np.linspace(0, len(scene) - 1, 16).round().astype(int)).tolist()
+    frames = evenly_spaced(len(scene), 16)
     return [(i, frames) for i, camera in enumerate(scene.cameras) if not camera.held_out]
 
 

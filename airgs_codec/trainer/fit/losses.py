@@ -214,8 +214,8 @@ def uploaded(views: Sequence[View], device: torch.device) -> list[View]:
     for view in views:
         rgb = view.target.rgb
         levels = to_bytes(rgb)
-        planes = upload(np.moveaxis(levels if np.array_equal(to_floats(levels), rgb) else rgb, 2, 0), device)
-        found.append(replace(view, picture=planes))
+        exact = levels if np.array_equal(to_floats(levels), rgb) else rgb
+        found.append(replace(view, picture=upload(np.ascontiguousarray(np.moveaxis(exact, 2, 0)), device)))
     alike = len({view.target.dtype for view in found}) == 1
     return found if alike else [replace(view, picture=as_floats(view.target)) for view in found]
 

@@ -259,13 +259,10 @@ class PerGaussian:
         values are fitted without it (the relaxed lasso, Meinshausen 2007). New rows have no temporal loss.
         """
         self.adam.rates = self.rates.at(self._done, self.extent)
-        difference = self.adam.parameters
-        if self.temporal is None or self._done <= self.until:
-            self.adam.step(self.temporal)
-        else:
-            if self._support is None:
-                self._support = {n: ((difference[n] != 0) | (w == 0)).to(w.dtype) for n, w in self.temporal.items()}
-            self.adam.step()
+        difference, pulls = self.adam.parameters, self._done <= self.until
+        if self.temporal and not pulls and self._support is None:
+            self._support = {n: ((difference[n] != 0) | (w == 0)).to(w.dtype) for n, w in self.temporal.items()}
+        self.adam.step(self.temporal if pulls else None)
         with torch.no_grad():
             if self._support:
                 torch._foreach_mul_([difference[name] for name in self._support], list(self._support.values()))

@@ -76,6 +76,9 @@ KEYFRAME_RATES = Rates(factor=8.0, last=0.05, means_last=0.05)  # what has appea
 UNFORESEEN = 1.5  # times as many iterations for a frame to which its velocity does not lead
 
 
+How = tuple[Schedule, np.random.Generator, ExposureModel | None, Progress]  # arguments of `optimise`
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FitGroup:
     """The measures and networks that the frames of a group share."""
@@ -153,37 +156,27 @@ class Trainer:
         if seeds is not None:
             new = with_motion(from_gaussians(seeds, self.device), target.views)
             zeros = zeros_like(new)  # seeds start without a difference, and without a temporal loss
-            base, start, temporal = (
-                {name: torch.cat([value, added[name]]) for name, value in p.items()}
-                for p, added in ((base, new), (start, zeros), (temporal, zeros))
-            )
-        more: dict[str, Any] = {"start": start, "temporal": temporal, "until": s.temporal.until, "fixed": fixed}
-        more |= {"resting": resting, "rates": KEYFRAME_RATES, "inflation": s.inflation}
-        schedule, most = self.schedule("keyframe", s.keyframe_iterations), most - rows + fixed
-        return self.fit_growing(base, (target.views, views), most, schedule, rng, progress=progress, **more)
+            pairs = ((base, new), (start, zeros), (temporal, zeros))
+            base, start, temporal = ({n: torch.cat([v, more[n]]) for n, v in p.items()} for p, more in pairs)
+        known: dict[str, Any] = {"start": start, "temporal": temporal, "until": s.temporal.until, "fixed": fixed}
+        known |= {"resting": resting, "rates": KEYFRAME_RATES, "inflation": s.inflation}
+        how = self.schedule("keyframe", s.keyframe_iterations), rng, None, progress
+        return self.fit_growing(base, (target.views, views), most - rows + fixed, how, **known)
 
     def fit_growing(
-        self,
-        base: Parameters,
-        views: tuple[Sequence[View], Sequence[View]],
-        most: int,
-        schedule: Schedule,
-        rng: np.random.Generator,
-        exposure: ExposureModel | None = None,
-        progress: Progress = silent,
-        **more: Any,
+        self, base: Parameters, views: Sequence[Sequence[View]], most: int, how: How, **more: Any
     ) -> InMotion:
         """Fit rows to the second ones of the `views`, add others up to `most`, and remove what is hidden.
 
         Within a budget rows that hang in open space before the first ones are removed, too. `more`: of `PerGaussian`.
         """
-        every, shown = views
+        (every, shown), (schedule, rng, *_) = views, how
         within, cameras = self.settings.densify == BUDGET, [view.camera for view in every]
         growth = Growth(most) if within else growth_of_3dgs(most, min(schedule.views, len(every)))
         clears = partial(in_open_space, cameras=cameras, renderer=self.renderer) if within else None
         densifier = Densifier(growth, len(base["means"]), rng)
         variables = PerGaussian(base, self.extent, densifier=densifier, clears=clears, **more)
-        optimise(variables, shown, schedule, rng, exposure, progress)
+        optimise(variables, shown, *how)
         variables.remove_fainter(HIDDEN_OPACITY if within else LOW_OPACITY)
         return replace(to_moving(variables.detached()), cleared=variables.cleared)
 
@@ -268,7 +261,7 @@ def fit_first(
     more |= FIRST_REGULARISERS if s.regularised else {}
     schedule = trainer.schedule("first frame", s.iterations_from_scratch(len(views)))
     schedule = replace(schedule, sh_degree=lambda done: min(s.sh_degree, int(4 * done)))
-    found = trainer.fit_growing(base, (views, views), most, schedule, rng, exposure, progress, **more)
+    found = trainer.fit_growing(base, (views, views), most, (schedule, rng, exposure, progress), **more)
     if not (unseen and len(unseen.positions)):
         return found
     assert unseen.colours is not None
