@@ -113,13 +113,11 @@ class Record:
     def warnings(self) -> list[str]:
         low, within = self.settings["min_psnr_db"], self.settings["densify"] == BUDGET
         tried = (f for f in self.frames if f.psnr < low and (f.kind != "frame" or f.rejected_psnr is not None))
-        if self.total == 1 or (short := next(tried, None)) is None:
+        if self.total == 1 or (one := next(tried, None)) is None:
             return []
         growth = f"up to {100 * self.settings['max_growth']:g} % of Gaussians" if within else "Gaussians"
         remedy = f"lower --min-psnr or {'raise --budget' if within else 'train for more --iterations'}"
-        fault = (
-            f"frame {short.frame}: {short.psnr:.1f} dB in training views, no fit reaches the {low:g} dB of --min-psnr"
-        )
+        fault = f"frame {one.frame}: {one.psnr:.1f} dB in training views, no fit reaches the {low:g} dB of --min-psnr"
         return [f"{fault}; every frame like it takes long and may add {growth}: {remedy}"]
 
     def group_start(self, frame: int) -> int:

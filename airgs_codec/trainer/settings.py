@@ -49,9 +49,7 @@ class TrainSettings:
     """The settings of a run. Raises ConfigError for values that cannot work."""
 
     budget: int | None = setting(
-        None,
-        f"Gaussians of the first frame, {LEAST_BUDGET} to {MOST_BUDGET}; {LEAST_BUDGET} for few cameras far apart",
-        default="by the size of the pictures",
+        None, f"Gaussians of the first frame, {LEAST_BUDGET} to {MOST_BUDGET}", default="by the size of the pictures"
     )
     capacity: int | None = setting(None, "most Gaussians that there may ever be", default="1.5 times the first frame's")
     sh_degree: int = setting(1, "degree of the spherical harmonics, 0 to 3")

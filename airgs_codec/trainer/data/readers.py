@@ -168,8 +168,7 @@ def read_colmap(folder: Path) -> MultiviewScene:
     images. Raises SceneError.
     """
     model = colmap.find_model(folder)
-    if model is None:
-        raise SceneError(f"{folder}: expected a COLMAP reconstruction, got none")
+    assert model is not None  # by which the folder was recognised
     posed, points = colmap.read(model), read_points3d(model)
     shots: dict[str, Shot] = {}
     for image in posed:
@@ -191,10 +190,9 @@ def _shot(posed: Posed, picture: Path, name: str, mask: Path | None = None) -> S
 
 def _film(folder: Path, name: str) -> Path | None:
     videos = (*find_files(folder / "videos", VIDEO_SUFFIXES), *find_files(folder, VIDEO_SUFFIXES))
-    places = (folder / "frames" / name, folder / "images" / name)
     films = [video for video in videos if video.stem == name]
-    films += [place for place in places if len(find_files(place, PICTURE_SUFFIXES)) > 1]
-    return films[0] if films else None
+    places = (folder / "frames" / name, folder / "images" / name)
+    return next(iter(films), None) or next((p for p in places if len(find_files(p, PICTURE_SUFFIXES)) > 1), None)
 
 
 def read_points3d(model: Path) -> Points | None:
