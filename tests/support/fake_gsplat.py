@@ -5,7 +5,6 @@ C cameras, N Gaussians.
 
 import sys
 import types
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,14 +14,14 @@ from torch.utils._python_dispatch import _disable_current_modes
 
 from airgs_codec.render import cpu, cuda
 from airgs_codec.render.reference import sh_values
-from tests.faces import SH_C0, Camera, RasterInputs
+from tests.faces import SH_C0, Camera
 
 
 class Kernel(torch.autograd.Function):
     """A function as one operator, with gradients, none of whose own operators is counted."""
 
     @staticmethod
-    def forward(ctx: Any, function: Callable[..., Any], *tensors: torch.Tensor) -> Any:
+    def forward(ctx: Any, function: Any, *tensors: torch.Tensor) -> Any:
         with _disable_current_modes(), torch.enable_grad():
             ctx.given = [t.detach().requires_grad_() for t in tensors]
             ctx.made = function(*ctx.given)
@@ -36,14 +35,9 @@ class Kernel(torch.autograd.Function):
 
 def spherical_harmonics(degree: int, dirs: torch.Tensor, coeffs: torch.Tensor, masks: torch.Tensor) -> torch.Tensor:
     """gsplat's: (C, N, 3) of directions of any length and (C, N, K, 3), 0 where it is masked."""
-    assert coeffs.shape[:2] == masks.shape == dirs.shape[:2] and (degree + 1) ** 2 <= coeffs.shape[2]
-
-    def values(dirs: torch.Tensor, coeffs: torch.Tensor) -> tuple[torch.Tensor]:
-        unit = torch.nn.functional.normalize(dirs, dim=-1)
-        return (sh_values(unit, coeffs[:, :, : (degree + 1) ** 2]) * masks[..., None],)
-
-    (found,) = Kernel.apply(values, dirs, coeffs)
-    return found
+    assert coeffs.shape[:2] == masks.shape == dirs.shape[:2] and (degree + 1) ** 2 == coeffs.shape[2]
+    unit = torch.nn.functional.normalize
+    return Kernel.apply(lambda to, sh: (sh_values(unit(to, dim=-1), sh) * masks[..., None],), dirs, coeffs)[0]
 
 
 def rasterization(
@@ -59,11 +53,9 @@ def rasterization(
     def draw(*inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         pictures = []
         for view, k, behind, colour in zip(views.numpy(), lenses.numpy(), backgrounds.tolist(), inputs[4], strict=True):
-            lens = (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
-            world_to_camera = view.astype(np.float64)
-            camera = Camera("", width, height, *lens, world_to_camera, near=near_plane, background=tuple(behind))
-            sh = ((colour - 0.5) / SH_C0)[:, None]
-            pictures.append(cuda._Rasterize.apply(*RasterInputs(*inputs[:4], sh), [camera], None, None))
+            lens = (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), view.astype(np.float64))
+            camera = Camera("", width, height, *lens, near=near_plane, background=tuple(behind))
+            pictures.append(cuda._Rasterize.apply(*inputs[:4], ((colour - 0.5) / SH_C0)[:, None], [camera], None, None))
         rgb, transmittance = (torch.cat(parts) for parts in zip(*pictures, strict=True))
         return rgb, 1 - transmittance[..., None]
 
