@@ -105,10 +105,8 @@ class Splats:
             if self.timetable.densifies(iteration):
                 self._densify(iteration)
             if self.timetable.resets(iteration):
-                logits = self._adam.parameters["opacity_logits"]
-                logits.copy_(reset_opacity(logits))
-                for moments in self._adam.moments:
-                    moments["opacity_logits"].zero_()
+                self._adam.parameters["opacity_logits"].copy_(reset_opacity(self._adam.parameters["opacity_logits"]))
+                torch._foreach_zero_([moments["opacity_logits"] for moments in self._adam.moments])
 
     def _restart(self) -> None:
         self._sum, self._count = torch.zeros(2, len(self._adam.parameters["means"]))
