@@ -64,7 +64,7 @@ from airgs_codec.trainer.settings import BUDGET, LEAST_BUDGET, MOST_BUDGET, RAND
 
 # Empty space stays empty. Against no weights +0.3 dB in held-out views of a first frame of the fox; a weight of 0.1 in
 # place of 0.03 on scales gave basketball 0.2 dB in two splits of its cameras (0.5 with their exposure matched).
-FIRST_REGULARISERS = {"opacity_weight": 0.003, "scale_weight": 0.1}
+FIRST_REGULARISERS: dict[str, Any] = {"opacity_weight": 0.003, "scale_weight": 0.1}
 # Few cameras that are far apart leave much of a scene free: the points on its surfaces start opaque, and move little.
 DROPOUT = 0.2
 # More gave basketball, of 640 x 360 pixels, 0.8 dB in held-out views, and the fox, of 320 x 320, 0.2 to 0.4 for twice

@@ -44,7 +44,7 @@ Steps = Callable[[Adam], Adam]
 class Descent(Adam):
     """Gradient descent: a step is a rate times a unit times the gradient, whatever the size of the gradient."""
 
-    def __init__(self, parameters: Mapping[str, torch.Tensor], rates: Mapping[str, float], units: Mapping[str, float]):
+    def __init__(self, parameters: Parameters, rates: Mapping[str, float], units: Mapping[str, float]):
         super().__init__(parameters, rates)
         self._units = dict(units)
 
