@@ -8,13 +8,4 @@ from airgs_codec.render.cpu import Contribution, Render, Without, measure_contri
 from airgs_codec.scene.camera import Camera, look_at
 from airgs_codec.scene.cameras import read_cameras
 
-__all__ = [
-    "Camera",
-    "Contribution",
-    "Render",
-    "Without",
-    "look_at",
-    "measure_contribution",
-    "read_cameras",
-    "render",
-]
+__all__ = ["Camera", "Contribution", "Render", "Without", "look_at", "measure_contribution", "read_cameras", "render"]

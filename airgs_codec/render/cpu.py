@@ -86,6 +86,10 @@ class Render:
 
     __repr__ = brief
 
+    @property
+    def nbytes(self) -> int:
+        return self.rgb.nbytes + self.transmittance.nbytes
+
     def _repr_png_(self) -> bytes:
         """It as a PNG, for notebooks."""
         return encode_png(to_bytes(self.rgb))

@@ -1,52 +1,46 @@
 """Drawing with torch, with gradients: the CPU kernels, or gsplat 1.5 for tensors on a CUDA device.
 
-gsplat imports without its kernels and fails later, so `missing` looks for them. It waits
-for the device twice a call (an inverse of the cameras' matrices, the number of pairs), which several cameras share;
-nothing else here waits. C cameras, N Gaussians, H x W pixels.
+gsplat imports without its kernels and fails later, so `missing` looks for them. It waits for the device once a call,
+for the number of pairs; nothing else here waits. C cameras, N Gaussians, H x W pixels.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 import torch
 
 from airgs_codec.render import cpu
-from airgs_codec.render.cpu import DILATION, FAR_PLANE, Floats, Loaded, RasterInputs, Redraw, Render
+from airgs_codec.render.cpu import DILATION, FAR_PLANE, Floats, Loaded, RasterInputs, Render
 from airgs_codec.scene.camera import Background, Camera
 
-Picture = tuple[torch.Tensor, torch.Tensor]  # rgb (H, W, 3) and transmittance (H, W), of several cameras (C, H, W, …)
+Pictures = tuple[torch.Tensor, torch.Tensor]  # rgb (C, H, W, 3) and transmittance (C, H, W)
 
 
 @dataclass(slots=True, eq=False)
 class AbsGrad:
     """Gradients by the places of Gaussians in the pictures that were drawn with it, known after the backward pass."""
 
-    # Of each picture or several: (N,) lengths of absolute gradients, of signed ones, and in how many pictures a row is.
-    parts: list[Callable[[], tuple[torch.Tensor, torch.Tensor, torch.Tensor]]] = field(default_factory=list)
+    # Of each call, signed or not: (N,) lengths of gradients, summed, and in how many pictures a row is.
+    parts: list[Callable[[bool], tuple[torch.Tensor, torch.Tensor]]] = field(default_factory=list)
 
-    def read(self) -> tuple[torch.Tensor, torch.Tensor]:
+    def read(self, signed: bool = False) -> tuple[torch.Tensor, torch.Tensor]:
         """Return (N,) |dL / d(place in pixels)|, summed over pictures, and (N,) in how many of them a Gaussian is.
 
         The gradients of single pixels are summed by their absolute values, so that opposite ones do not cancel (AbsGS,
-        Ye et al. 2024). Raises RuntimeError before the backward pass.
+        Ye et al. 2024). `signed`: as 3DGS has it (Kerbl et al. 2023), with their signs, and by places that are -1..1
+        across the picture. Raises RuntimeError before the backward pass.
         """
-        return self._sum(0), self._sum(2)
-
-    def signed(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the same as 3DGS has it (Kerbl et al. 2023).
-
-        It sums with the signs of single pixels, by places that are -1..1 across the picture.
-        """
-        return self._sum(1), self._sum(2)
-
-    def _sum(self, which: int) -> torch.Tensor:
         if not self.parts:
             raise RuntimeError("gradients by places are known after the backward pass of the picture")
-        return torch.stack([part()[which] for part in self.parts]).sum(dim=0)
+        (lengths, seen), *others = (part(signed) for part in self.parts)
+        for more, also in others:
+            lengths, seen = lengths + more, seen + also
+        return lengths, seen
 
 
 def missing() -> str | None:
@@ -67,97 +61,94 @@ def missing() -> str | None:
     return None
 
 
+def by_gsplat(tensor: torch.Tensor) -> bool:
+    """Return whether gsplat draws with a tensor, and losses are computed where it is."""
+    return tensor.is_cuda
+
+
 def upload(values: Any, device: torch.device | str) -> torch.Tensor:
-    """Return a float32 tensor of an array or numbers on a device, without waiting for a CUDA device."""
-    host = torch.tensor(np.asarray(values, np.float32))
+    """Return a tensor of bytes, or else float32, of numbers on a device, without waiting for a CUDA device."""
+    array = np.asarray(values)
+    host = torch.tensor(array if array.dtype == np.uint8 else array.astype(np.float32))
     return host.pin_memory().to(device, non_blocking=True) if torch.device(device).type == "cuda" else host
 
 
 class _Rasterize(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, *inputs: Any) -> Picture:
-        *tensors, camera, background, absgrad, redraw = inputs
+    def forward(ctx: Any, *inputs: Any) -> Pictures:
+        *tensors, cameras, absgrad, redraws = inputs
         arrays = RasterInputs(*(np.ascontiguousarray(t.detach().numpy(), np.float32) for t in tensors))
-        ctx.found, ctx.blended = [], cpu.blend(arrays, camera, background, redraw)
-        picture, found = ctx.blended.picture, ctx.found
+        each = zip(cameras, redraws or [None] * len(cameras), strict=True)
+        ctx.found, ctx.blended = [], [cpu.blend(arrays, camera, camera.background, redraw) for camera, redraw in each]
         if absgrad is not None:
-            absgrad.parts.append(lambda: found[0])
-        return torch.from_numpy(picture.rgb), torch.from_numpy(picture.transmittance)
+            absgrad.parts.append(partial(_summed, ctx.found))
+        pictures = [blended.picture for blended in ctx.blended]
+        if len(pictures) == 1:
+            return torch.from_numpy(pictures[0].rgb[None]), torch.from_numpy(pictures[0].transmittance[None])
+        rgb, transmittance = ([getattr(p, name) for p in pictures] for name in ("rgb", "transmittance"))
+        return torch.from_numpy(np.stack(rgb)), torch.from_numpy(np.stack(transmittance))
 
     @staticmethod
     def backward(ctx: Any, *grads: Any) -> tuple[Any, ...]:
-        rgb, transmittance = (np.ascontiguousarray(g.numpy(), np.float32) for g in grads)
-        by_inputs, places, absolute = cpu.gradients(ctx.blended, rgb, transmittance)
-        seen = torch.zeros(len(places), dtype=torch.int64)
-        seen[torch.from_numpy(ctx.blended.projected.order)] = 1
-        half = np.array(ctx.blended.projected.size, np.float32) / 2
-        lengths = (torch.from_numpy(np.hypot(x, y)) for x, y in (absolute.T, (places * half).T))
-        ctx.found.append((*lengths, seen))
-        return (*(torch.from_numpy(column) for column in by_inputs), None, None, None, None)
+        total: list[Any] = []
+        for blended, *given in reversed(list(zip(ctx.blended, *grads, strict=True))):
+            rgb, transmittance = (np.ascontiguousarray(g.numpy(), np.float32) for g in given)
+            by_inputs, places, absolute = cpu.gradients(blended, rgb, transmittance)
+            seen = torch.zeros(len(places), dtype=torch.int64)
+            seen[torch.from_numpy(blended.projected.order)] = 1
+            half = np.array(blended.projected.size, np.float32) / 2
+            lengths = (torch.from_numpy(np.hypot(x, y)) for x, y in (absolute.T, (places * half).T))
+            ctx.found.insert(0, (*lengths, seen))
+            total = [a + b for a, b in zip(total, by_inputs, strict=True)] if total else list(by_inputs)
+        return (*map(torch.from_numpy, total), None, None, None)
 
 
-def rasterize_views(
-    inputs: RasterInputs[torch.Tensor],
-    cameras: Sequence[Camera],
-    absgrad: AbsGrad | None = None,
-    redraws: Sequence[Redraw | None] | None = None,
-) -> list[Picture]:
-    """Draw what several cameras see, each before its own background: float32, differentiable, on the inputs' device.
-
-    On CUDA cameras of one size and near plane are drawn at once. `absgrad` can be read after the backward pass.
-    `redraws`: one for each; only its tiles are drawn and have gradients (gsplat draws all).
-    """
-    if not inputs.means.is_cuda:
-        each = zip(cameras, redraws or [None] * len(cameras), strict=True)
-        return [_Rasterize.apply(*inputs, c, c.background, absgrad, redraw) for c, redraw in each]
-    if not equal_shapes(cameras):
-        return [rasterize_views(inputs, [camera], absgrad)[0] for camera in cameras]
-    return list(zip(*rasterize(inputs, cameras, [camera.background for camera in cameras], absgrad), strict=True))
-
-
-def equal_shapes(cameras: Sequence[Camera]) -> bool:
-    """Return whether gsplat can draw for these cameras at once: they have one size and one near plane."""
-    return len({(camera.width, camera.height, camera.near) for camera in cameras}) == 1
+def _summed(found: list[tuple[torch.Tensor, ...]], signed: bool) -> tuple[torch.Tensor, torch.Tensor]:
+    absolute, with_signs, seen = (torch.stack(of).sum(dim=0) for of in zip(*found, strict=True))
+    return with_signs if signed else absolute, seen
 
 
 def rasterize(
-    inputs: RasterInputs[torch.Tensor],
-    cameras: Sequence[Camera],
-    backgrounds: Sequence[Background],
-    absgrad: AbsGrad | None = None,
-) -> Picture:
-    """Return what cameras of equal shapes see, each before a background of its own: (C, H, W, 3) and (C, H, W).
+    inputs: RasterInputs[torch.Tensor], cameras: Sequence[Camera], absgrad: AbsGrad | None = None, redraws: Any = None
+) -> Pictures:
+    """Draw what cameras of one size and near plane see, each before its own background: float32, differentiable.
 
-    Pixels may differ from the CPU renderer's by 5e-3 where alpha is next to 1/255, others by 1e-5.
+    `absgrad` can be read after the backward pass. `redraws`: a `Redraw` or None for each camera; only its tiles are
+    drawn and have gradients (gsplat draws all). Pixels of gsplat may differ from the CPU renderer's by 5e-3 where alpha
+    is next to 1/255, others by 1e-5.
     """
-    from gsplat import rasterization
+    if not by_gsplat(inputs.means):
+        pictures: Pictures = _Rasterize.apply(*inputs, cameras, absgrad, redraws)
+        return pictures
+    from gsplat import rasterization, spherical_harmonics
 
-    device, first = inputs.means.device, cameras[0]
-    lenses = [[[c.fx, 0.0, c.cx], [0.0, c.fy, c.cy], [0.0, 0.0, 1.0]] for c in cameras]
-    rgb, alpha, meta = rasterization(
-        *inputs,
-        upload(np.stack([camera.world_to_camera for camera in cameras]), device),
-        upload(lenses, device),
-        first.width,
-        first.height,
-        near_plane=first.near,
-        far_plane=FAR_PLANE,
-        eps2d=DILATION,
-        sh_degree=inputs.sh_degree,
-        packed=False,
-        backgrounds=upload(backgrounds, device),
-        absgrad=absgrad is not None,
-    )
+    first, each = cameras[0], (_on_device(camera, inputs.means.device) for camera in cameras)
+    views, lenses, places, backgrounds = (torch.stack(of) for of in zip(*each, strict=True))
+    # What gsplat makes of SH by itself inverts the matrices of the cameras at every call, and waits for that.
+    towards = inputs.means - places[:, None]
+    sh = inputs.sh.expand(len(cameras), -1, -1, -1)
+    colours = (spherical_harmonics(inputs.sh_degree, towards, sh, masks=towards.any(dim=-1)) + 0.5).relu()
+    size, planes = (first.width, first.height), {"near_plane": first.near, "far_plane": FAR_PLANE}
+    more = {"eps2d": DILATION, "packed": False, "backgrounds": backgrounds, "absgrad": absgrad is not None}
+    rgb, alpha, meta = rasterization(*inputs[:4], colours, views, lenses, *size, **planes, **more)
     if absgrad is not None:
-        places, radii, half = meta["means2d"], meta["radii"], upload([first.width / 2, first.height / 2], device)
-        places.retain_grad()  # gsplat and torch leave gradients on the projected means
+        projected, radii = meta["means2d"], meta["radii"]
+        projected.retain_grad()  # gsplat and torch leave gradients on the projected means
 
-        def lengths() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-            absolute, signed = (g.norm(dim=-1).sum(dim=0) for g in (places.absgrad, places.grad * half))
-            return absolute, signed, (radii > 0).all(dim=-1).sum(dim=0)
+        def read(signed: bool) -> tuple[torch.Tensor, torch.Tensor]:
+            half = upload([first.width / 2, first.height / 2], projected.device) if signed else None
+            gradients = projected.absgrad if half is None else projected.grad * half
+            return gradients.norm(dim=-1).sum(dim=0), (radii > 0).all(dim=-1).sum(dim=0)
 
-        absgrad.parts.append(lengths)
+        absgrad.parts.append(read)
     return rgb, 1 - alpha[..., 0]
+
+
+@lru_cache(maxsize=1024)
+def _on_device(camera: Camera, device: torch.device) -> tuple[torch.Tensor, ...]:
+    """Matrices (4, 4) and (3, 3) of a camera, its position (3,) and background (3,), which are uploaded once."""
+    lens = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
+    return tuple(upload(v, device) for v in (camera.world_to_camera, lens, camera.position, camera.background))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,5 +163,5 @@ class OnCuda(Loaded):
 
     def draw(self, camera: Camera, background: Background | None = None) -> Render:
         with torch.no_grad():
-            picture = rasterize(self.tensors, [camera], [camera.background if background is None else background])
+            picture = rasterize(self.tensors, [replace(camera, background=background or camera.background)])
         return Render(*(values[0].cpu().numpy() for values in picture))

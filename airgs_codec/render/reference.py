@@ -29,8 +29,8 @@ def rotation_matrices(q: torch.Tensor) -> torch.Tensor:
     return torch.stack(rows, -1).reshape(-1, 3, 3)
 
 
-def sh_colours(directions: torch.Tensor, sh: torch.Tensor) -> torch.Tensor:
-    """Return colours (N, 3), at least 0, of coefficients (N, K + 1, 3) in unit directions (N, 3)."""
+def sh_values(directions: torch.Tensor, sh: torch.Tensor) -> torch.Tensor:
+    """Return values (N, 3) of coefficients (N, K + 1, 3) in unit directions (N, 3); colours are 0.5 more."""
     x, y, z = directions.unbind(-1)
     xx, yy, zz = x * x, y * y, z * z
     c1, c2, c3 = 0.4886025119029199, 1.0925484305920792, 0.5900435899266435
@@ -42,8 +42,7 @@ def sh_colours(directions: torch.Tensor, sh: torch.Tensor) -> torch.Tensor:
         *(-0.4570457994644658 * x * (4 * zz - xx - yy), 1.445305721320277 * z * (xx - yy)),
         -c3 * x * (xx - 3 * yy),
     ]
-    values = torch.stack(basis[: sh.shape[1]], -1)
-    return ((values[..., None] * sh).sum(-2) + 0.5).clamp_min(0)
+    return (torch.stack(basis[: sh.shape[-2]], -1)[..., None] * sh).sum(-2)
 
 
 def render_reference(
@@ -69,7 +68,7 @@ def blending_weights(
     z = torch.where(drawn, z, torch.ones_like(z))
     conic, position = _conics(inputs, torch.stack([x, y, z], -1), camera)
     directions = torch.nn.functional.normalize(means + rotation.T @ translation, dim=-1)
-    colours = sh_colours(directions, inputs.sh)
+    colours = (sh_values(directions, inputs.sh) + 0.5).clamp_min(0)
     order = torch.argsort(torch.where(drawn, z, torch.full_like(z, torch.inf)), stable=True)
     rows, columns = torch.meshgrid(torch.arange(camera.height), torch.arange(camera.width), indexing="ij")
     pixels = torch.stack([columns.reshape(-1), rows.reshape(-1)], -1).to(means.dtype) + 0.5

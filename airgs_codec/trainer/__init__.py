@@ -68,8 +68,7 @@ def train(
             known = known_offsets(model) if resume else None
             scene = in_step(scene, find_offsets(scene, progress=report) if known is None else known)
     else:
-        words = "a multi-view scene, a sequence of Gaussians, or the path of one"
-        raise ConfigError(f"scene: expected {words}, got {described(scene)}")
+        raise ConfigError(f"scene: expected a multi-view scene, Gaussians, or the path of one, got {described(scene)}")
     run = open_run(scene, model, settings or usual, resume=resume, device=renderer.device)
     for _ in train_frames(run, report):
         pass

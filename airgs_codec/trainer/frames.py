@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -219,9 +220,16 @@ def _fit_next(
 def _new_keyframe(
     capture: Capture, target: FrameViews, before: InMotion, steps: Parameters, left: range, progress: Progress
 ) -> InMotion:
+    """Fit a keyframe. Where Gaussians are given: those of the frame before and what is missing, if that shows all."""
     if capture.scene.given is None:
         return capture.trainer.fit_keyframe(target, before, steps, progress)
-    return InMotion(_given_keyframe(capture, target, before, left, progress))
+    trainer, given = capture.trainer, capture.given(target.frame)
+    g = follow(trainer, before, given, target)
+    g = Gaussians.join([g, given.take(missing(trainer, g, given, target))])
+    group = FitGroup(math.inf, trainer.steps(g, target.views), None)
+    g = trainer.fit_frame(replace(target, moving=None), InMotion(g), group, progress)
+    shows_all = mean_psnr(g, target.views, trainer.renderer) >= KNOWN_DB
+    return InMotion(g if shows_all else _given_first(capture, left, progress))
 
 
 def _begun(trainer: Trainer, kind: str, found: InMotion, views: Sequence[View], before: int | None = None) -> _Fitted:
@@ -235,25 +243,11 @@ def _trained(capture: Capture, frame: int, fitted: _Fitted, begun: float) -> Tra
     seconds, held_out = round(time.perf_counter() - begun, 2), capture.pictures.held_out(frame)
     shown, rejected, networks = fitted.shown, fitted.rejected_psnr, fitted.group.networks
     measures, renderer = ((mean_psnr, 3), (matched_psnr, 3), (mean_ssim, 5)), capture.trainer.renderer
-    unseen = (round(of(shown, held_out, renderer), digits) if held_out else None for of, digits in measures)
-    psnr, (held_out_psnr, matched, ssim), count = round(fitted.psnr, 3), unseen, len(shown.gaussians)
-    rejected = None if rejected is None else round(rejected, 3)
-    figures = psnr, held_out_psnr, matched, ssim, rejected, seconds, shown.cleared
-    record = FrameRecord(frame, fitted.kind, count, fitted.added, *figures)
+    unseen = [round(of(shown, held_out, renderer), digits) if held_out else None for of, digits in measures]
+    figures: list[Any] = [len(shown.gaussians), fitted.added, round(fitted.psnr, 3), *unseen]
+    figures += [None if rejected is None else round(rejected, 3), seconds, shown.cleared]
+    record = FrameRecord(frame, fitted.kind, *figures)
     return TrainedFrame(shown.gaussians, record, networks.arrays() if networks else None)
-
-
-def _given_keyframe(
-    capture: Capture, target: FrameViews, before: InMotion, left: range, progress: Progress
-) -> Gaussians:
-    """The Gaussians of the frame before and what is missing, or those that are given where that does not show all."""
-    trainer, given = capture.trainer, capture.given(target.frame)
-    g = follow(trainer, before, given, target)
-    g = Gaussians.join([g, given.take(missing(trainer, g, given, target))])
-    group = FitGroup(math.inf, trainer.steps(g, target.views), None)
-    g = trainer.fit_frame(replace(target, moving=None), InMotion(g), group, progress)
-    shows_all = mean_psnr(g, target.views, trainer.renderer) >= KNOWN_DB
-    return g if shows_all else _given_first(capture, left, progress)
 
 
 def _given_first(capture: Capture, frames: range, progress: Progress) -> Gaussians:
@@ -343,7 +337,5 @@ class Carried(PerGaussian):
         turn = multiply(here["quaternions"], self.base["quaternions"] * CONJUGATE.to(here["means"]))
         turn = torch.nn.functional.normalize(turn, dim=1)
         moved = {n: p + d[n] for n, p in self.base.items() if n not in ("means", "quaternions")}
-        return moved | {
-            "means": here["means"] + rotate(turn, d["means"]),
-            "quaternions": here["quaternions"] + multiply(turn, d["quaternions"]),
-        }
+        moved["quaternions"] = here["quaternions"] + multiply(turn, d["quaternions"])
+        return moved | {"means": here["means"] + rotate(turn, d["means"])}

@@ -76,18 +76,14 @@ class Record:
 
     @staticmethod
     def of(scene: MultiviewScene, background: Background, settings: TrainSettings) -> Record:
-        same: dict[str, Any] = {
-            "name": scene.path.resolve().name,
-            "first picture": Path(str(scene.frames[0][0].source)).name,
-            "cameras": [f"{c.name} {c.split} {c.width}x{c.height} near {c.near:g}" for c in scene.cameras],
-            "background": list(background),
-            "origin": None if scene.origin == ZERO else list(scene.origin),
-            "offsets": dict(scene.offsets),
-            "notes": list(scene.notes),
-            "tracked": scene.given is not None,
-        }
-        same = {name: value for name, value in same.items() if value}
-        return Record(same, settings.table(), len(scene), str(scene.fps))
+        cameras = [f"{c.name} {c.split} {c.width}x{c.height} near {c.near:g}" for c in scene.cameras]
+        given = scene.given is not None
+        same: dict[str, Any] = {"name": scene.path.resolve().name, "cameras": cameras, "tracked": given}
+        same |= {"first picture": Path(str(scene.frames[0][0].source)).name, "background": list(background)}
+        same |= {"origin": [] if scene.origin == ZERO else list(scene.origin), "offsets": dict(scene.offsets)}
+        same["notes"] = list(scene.notes)
+        found = {name: value for name, value in same.items() if value}
+        return Record(found, settings.table(), len(scene), str(scene.fps))
 
     @property
     def complete(self) -> bool:
@@ -104,10 +100,9 @@ class Record:
         shown, keys = [f.psnr for f in self.frames], len(self.keyframes())
         if self.scene.get("tracked"):
             worst, views = int(np.argmin(shown)), len(self.scene["cameras"])
-            return (
-                f"tracked: {keys} key{'s' * (keys > 1)} for {len(shown)} frames; against what was given "
-                f"{np.mean(shown):.1f} dB in {views} views, {shown[worst]:.1f} at frame {worst}, the worst"
-            )
+            words = f"tracked: {keys} key{'s' * (keys > 1)} for {len(shown)} frames; against what was given "
+            words += f"{np.mean(shown):.1f} dB in {views} views"
+            return f"{words}, {shown[worst]:.1f} at frame {worst}, the worst"
         unseen = [(f.held_out_psnr, f.held_out_matched) for f in self.frames if f.held_out_psnr is not None]
         held_out, matched = np.mean(np.array(unseen, np.float64), axis=0) if unseen else (0.0, 0.0)
         words = f"{np.mean(shown):.1f} dB to the pictures it was trained on"
@@ -118,14 +113,12 @@ class Record:
     def warnings(self) -> list[str]:
         low, within = self.settings["min_psnr_db"], self.settings["densify"] == BUDGET
         tried = (f for f in self.frames if f.psnr < low and (f.kind != "frame" or f.rejected_psnr is not None))
-        if self.total == 1 or (short := next(tried, None)) is None:
+        if self.total == 1 or (one := next(tried, None)) is None:
             return []
         growth = f"up to {100 * self.settings['max_growth']:g} % of Gaussians" if within else "Gaussians"
-        return [
-            f"frame {short.frame}: {short.psnr:.1f} dB in training views, and no fit reaches the {low:g} dB of "
-            f"--min-psnr; a keyframe is tried at every frame like it, which takes long and may add {growth} each time: "
-            f"lower --min-psnr or {'raise --budget' if within else 'train for more --iterations'}"
-        ]
+        remedy = f"lower --min-psnr or {'raise --budget' if within else 'train for more --iterations'}"
+        fault = f"frame {one.frame}: {one.psnr:.1f} dB in training views, no fit reaches the {low:g} dB of --min-psnr"
+        return [f"{fault}; every frame like it takes long and may add {growth}: {remedy}"]
 
     def group_start(self, frame: int) -> int:
         """Return the first frame of the group of the frame before `frame`, which is at least 1."""
@@ -183,9 +176,8 @@ class ModelFolder:
         frames = []
         for c in cameras_from(-self._origin, cameras):
             matrix = np.linalg.inv(c.world_to_camera) @ OPENGL_TO_OPENCV
-            intrinsics = {"w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy}
-            entry = {"camera": c.name, "split": c.split, "file_path": "", **intrinsics}
-            entry |= {"near": c.near} if c.near else {}  # 0: unknown
+            entry = {"camera": c.name, "split": c.split, "file_path": "", "w": c.width, "h": c.height}
+            entry |= {"fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy} | ({"near": c.near} if c.near else {})
             frames.append({**entry, "transform_matrix": matrix.tolist()})
         fps = float(Fraction(self.record.fps))
         write_json(self.folder / CAMERAS_NAME, {"camera_model": "PINHOLE", "fps": fps, "frames": frames})
@@ -193,11 +185,7 @@ class ModelFolder:
     def networks(self) -> dict[str, np.ndarray]:
         """Read the weights after the last finished frame. Raises SceneError when they are missing."""
         path = self._networks(self.record.frames[-1].frame)
-        with (
-            expecting(path, "the networks of an unfinished run"),
-            path.open("rb") as opened,
-            np.load(opened, allow_pickle=False) as file,
-        ):
+        with expecting(path, "the networks of an unfinished run"), np.load(path, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
 
     def finish(self, usage: Mapping[Span, Usage]) -> None:

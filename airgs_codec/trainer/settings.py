@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
@@ -16,9 +17,11 @@ from airgs_codec.scene.gaussians import SH_REST
 FIRST, FIRST_A_VIEW = 2500, 60  # iterations of a first frame: the larger of both; 97 photos had not settled at 2500
 LEAST_BUDGET, MOST_BUDGET = 8_000, 64_000  # Gaussians of a first frame, where its pictures decide
 DELTAS = ("direct", "mlp", "mlp+residual")
+DELTAS_WORDS = "direct; mlp+residual on CUDA"
 TRAIN_PRESETS = ("default", "paper")
 ON, OFF = "on", "off"
 MATCHES = (AUTO, ON, OFF)
+UNITS = ("step", "raw")
 DENSIFY = BUDGET, THRESHOLD = ("budget", "threshold")
 RANDOM = "random"  # a background: another colour at every step
 BACKGROUNDS: dict[str, Background] = {"black": BLACK, "white": (1.0, 1.0, 1.0)}
@@ -27,25 +30,16 @@ BACKGROUNDS: dict[str, Background] = {"black": BLACK, "white": (1.0, 1.0, 1.0)}
 @dataclass(frozen=True, slots=True)
 class Temporal:
     weight: float = setting(1e-3, "weight of changes from frame to frame; 0: none")
-    unit: str = setting(
-        "step",
-        "mean over Gaussians, in codec steps (step), or the paper's sum, read literally (raw)",
-        choices=("step", "raw"),
-    )
-    until: float = setting(
-        0.65,
-        "share of the iterations in which the temporal loss acts; then what is still 0 stays so, and the rest is free; "
-        "in fits of networks it acts throughout",
-    )
+    unit: str = setting("step", "mean over Gaussians in codec steps, or the paper's sum, as it is", choices=UNITS)
+    until: float = setting(0.65, "share of the iterations in which it acts, unless networks are fitted; then 0 stays 0")
 
 
-BOUNDS: tuple[tuple[float, float, tuple[str, ...]], ...] = (  # least, most, and the settings that have them
-    (0, math.inf, ("weight", "min_psnr_db", "max_growth", "inflation", "seed")),
-    (1, math.inf, ("budget", "first_iterations", "keyframe_iterations", "frame_iterations", "group_frames")),
-    (1, math.inf, ("iteration_views",)),
-    (16, math.inf, ("max_size",)),
-    (0, 1, ("coarse", "ssim_weight")),
-    (0, len(SH_REST) - 1, ("sh_degree",)),
+BOUNDS: tuple[tuple[float, float, str], ...] = (  # least, most, and the settings that have them
+    (0, math.inf, "weight min_psnr_db max_growth inflation seed"),
+    (1, math.inf, "budget first_iterations keyframe_iterations frame_iterations group_frames iteration_views"),
+    (16, math.inf, "max_size"),
+    (0, 1, "coarse ssim_weight"),
+    (0, len(SH_REST) - 1, "sh_degree"),
 )
 
 
@@ -55,14 +49,9 @@ class TrainSettings:
     """The settings of a run. Raises ConfigError for values that cannot work."""
 
     budget: int | None = setting(
-        None,
-        f"Gaussians of the first frame; None: by the size of its pictures, {LEAST_BUDGET} to {MOST_BUDGET}, and "
-        f"{LEAST_BUDGET} where few cameras are far apart",
-        default="by the size of the pictures",
+        None, f"Gaussians of the first frame, {LEAST_BUDGET} to {MOST_BUDGET}", default="by the size of the pictures"
     )
-    capacity: int | None = setting(
-        None, "most Gaussians that there may ever be", default="1.5 times those of the first frame"
-    )
+    capacity: int | None = setting(None, "most Gaussians that there may ever be", default="1.5 times the first frame's")
     sh_degree: int = setting(1, "degree of the spherical harmonics, 0 to 3")
     first_iterations: int | None = setting(
         None, f"iterations of the first frame; None: {FIRST}, at least {FIRST_A_VIEW} a view", default=FIRST
@@ -71,98 +60,64 @@ class TrainSettings:
     frame_iterations: int = setting(300, "iterations of a frame in a group")
     iteration_views: int = setting(1, "pictures that an iteration sees", default="1; 4 on CUDA")
     deltas: str = setting(
-        "direct",
-        "how frames in a group move: each Gaussian on its own, by six MLPs, or by both",
-        choices=DELTAS,
-        default="direct; mlp+residual on CUDA",
+        DELTAS[0], "how frames move: Gaussian by Gaussian, by six MLPs, or both", choices=DELTAS, default=DELTAS_WORDS
     )
-    coarse: float = setting(
-        0.4, "share of the iterations of a frame in a group, the first ones, that see pictures of half the size"
-    )
+    coarse: float = setting(0.4, "share of a frame's iterations, the first ones, that see pictures of half the size")
     ssim_weight: float = setting(0.4, "share of 1 - SSIM in the loss of a picture; the rest is the absolute difference")
-    regularised: bool = setting(
-        True, "weigh opacity and scale in the loss of a first frame, so that empty space stays so"
-    )
+    regularised: bool = setting(True, "weigh opacity and scale in the loss of a first frame, so that space stays empty")
     group_frames: int | None = setting(
-        None,
-        "frames of a chunk; it begins with a keyframe that starts from the first frame of the run, so that chunks "
-        "can be trained separately; None: every frame follows the one before",
-        default="one chunk",
+        None, "frames of a chunk, which starts from the first frame, not from the frame before", default="one chunk"
     )
     temporal: Temporal = setting(Temporal, "weight, unit and end of the temporal loss", option=False)
     velocity: bool = setting(True, "start a frame where its Gaussians would be if they moved on as before")
     min_psnr_db: float = setting(
-        0.0, "mean PSNR over training views below which a frame becomes a keyframe, however good its group is"
+        0.0, "mean PSNR over training views below which a frame becomes a keyframe in any case"
     )
     max_drop_db: float = setting(
-        3.0,
-        "loss against the first frame that moved in its group, or for that against the one before it, above which a "
-        "frame becomes a keyframe",
+        3.0, "loss against the second frame of its group, or for that the first, above which a frame becomes a keyframe"
     )
-    keep_better: bool = setting(
-        True,
-        "keep a keyframe only where it shows more than the frame as it moved, and that only where it shows no less "
-        "than the frame before as it was",
-    )
+    keep_better: bool = setting(True, "take a fit only where it shows more than what it starts from or replaces")
     seeds: bool = setting(True, "place new Gaussians of a keyframe where the views show what the present ones cannot")
     densify: str = setting(
         BUDGET,
-        "which Gaussians are split or cloned: the strongest, as many as lead to the budget (budget), or all whose "
-        "gradient is above the threshold of 3DGS, from the given points alone (threshold)",
+        "split or clone the strongest Gaussians up to the budget, or all above 3DGS's threshold",
         choices=DENSIFY,
     )
-    max_growth: float = setting(
-        0.3, "most Gaussians that a keyframe adds within the budget, as a share of those it starts from"
-    )
+    max_growth: float = setting(0.3, "most Gaussians that a keyframe adds, as a share of those it starts from")
     inflation: float = setting(1e-6, "weight of the summed opacity of what a keyframe adds")
     static: str = setting(
-        "auto",
-        "auto: what is at rest before cameras that stand still stays as it is; off: anything may change at any frame",
-        choices=(AUTO, OFF),
+        "auto", "auto: what is at rest before still cameras stays as it is; off: all may change", choices=(AUTO, OFF)
     )
     max_size: int | None = setting(
         None, "longest side of the pictures in pixels; larger ones are shrunk", metavar="PX", default="as they are"
     )
     background: str | None = setting(
-        None,
-        "what is behind the scene: black, white, R,G,B or random; random: another one at every step, for pictures with "
-        "alpha",
-        metavar="COLOUR",
-        default="the scene's own, else black",
-    )
-    foreground: str = setting(
-        OFF, "train all (off), or only what the masks of the scene show (given)", choices=(OFF, "given")
-    )
+        None, "what is behind the scene: black, white, R,G,B or, for pictures with alpha, random at every step",
+        metavar="COLOUR", default="the scene's own, else black",
+    )  # fmt: skip
+    foreground: str = setting(OFF, "train all, or only what the scene's masks show (given)", choices=(OFF, "given"))
     match_exposure: str = setting(
-        "auto",
-        "find a gain and an offset for each camera at the first frame; auto: where cameras differ",
-        choices=MATCHES,
+        "auto", "find a gain and an offset for each camera at the first frame; auto: where they differ", choices=MATCHES
     )
     reference: str | None = setting(
-        None,
-        "camera whose exposure the Gaussians have, where exposures are matched",
-        metavar="CAMERA",
-        default="the average of all",
+        None, "camera of the exposure that the Gaussians have", metavar="CAMERA", default="the average of all"
     )
     seed: int = setting(0, "seed of all random numbers")
 
     def __post_init__(self) -> None:
         named_background(self.background)
+        values = asdict(self) | asdict(self.temporal)
         for one in (*fields(self), *fields(self.temporal)):
-            known = one.metadata.get("choices")
-            value = getattr(self if hasattr(self, one.name) else self.temporal, one.name)
-            if known and value not in known:
-                raise ConfigError(f"expected {one.name} {', '.join(known)}, got {value}")
-        given = {name: value for name, value in (asdict(self) | asdict(self.temporal)).items() if value is not None}
+            if values[one.name] not in (known := one.metadata.get("choices", [values[one.name]])):
+                raise ConfigError(f"expected {one.name} {', '.join(known)}, got {values[one.name]}")
         for least, most, names in BOUNDS:
-            for name in names:
-                if name in given and not (least <= given[name] <= most and given[name] < math.inf):
+            for name in names.split():
+                if (value := values[name]) is not None and not (least <= value <= most and value < math.inf):
                     bounds = f"at least {least}" if most == math.inf else f"{least} to {most}"
-                    raise ConfigError(f"expected {name} of {bounds}, got {given[name]}")
+                    raise ConfigError(f"expected {name} of {bounds}, got {value}")
         if not (0 < self.temporal.until <= 1 and self.max_drop_db > 0):
-            raise ConfigError(
-                f"expected until of 0 to 1 and max_drop_db above 0, got {self.temporal.until} and {self.max_drop_db}"
-            )
+            words = f"got {self.temporal.until} and {self.max_drop_db}"
+            raise ConfigError(f"expected until of 0 to 1 and max_drop_db above 0, {words}")
         if self.capacity is not None and self.capacity < (self.budget or 1):
             raise ConfigError(f"expected a capacity of at least the budget, got {self.capacity}")
         if self.match_exposure == ON and self.background == RANDOM:
@@ -190,12 +145,10 @@ def named_background(text: str | None) -> Background | None:
     """Return the colour that a `background` names; None for None and RANDOM, which name none. Raises ConfigError."""
     if text is None or text == RANDOM:
         return None
-    try:
+    with suppress(ValueError):
         r, g, b = BACKGROUNDS[text] if text in BACKGROUNDS else map(float, text.split(","))
         if all(0 <= value <= 1 for value in (r, g, b)):
             return r, g, b
-    except ValueError:
-        pass
     raise ConfigError(f"expected a background of black, white, random or R,G,B of 0 to 1, got {text!r}")
 
 

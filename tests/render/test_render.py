@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.render import backend, measure_contribution
+from airgs_codec.render import backend, cuda, measure_contribution
 from airgs_codec.render.cpu import activate, blend, gradients, project
-from airgs_codec.render.cuda import rasterize_views
 from airgs_codec.render.reference import blending_weights, render_reference
 from tests.faces import CPU, Camera, ConfigError, RasterInputs, Redraw, render
 from tests.support.scenes import random_gaussians
@@ -35,7 +34,7 @@ def inputs(count=200, degree=1, seed=0, **columns):
 
 
 def rasterize(inputs, view, background=(0.0, 0.0, 0.0)):
-    return rasterize_views(inputs, [replace(view, background=background)])[0]
+    return [drawn[0] for drawn in cuda.rasterize(inputs, [replace(view, background=background)])]
 
 
 def both(values, view, background=(0.2, 0.5, 0.9), seed=1):

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import torch
 
 from airgs_codec.analysis.sensitivity import measure_views
 from tests.faces import Camera, Gaussians, Parameters, Target, Usage, View, from_gaussians, join_rows, look_at, render
@@ -60,6 +61,18 @@ def appeared(count: int = 40) -> Gaussians:
 
 def views_of(g: Gaussians, cameras: list[Camera]) -> list[View]:
     return [View(c, Target(np.clip(render(g, c).rgb, 0, 1))) for c in cameras]
+
+
+def windowed_ssim(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """Mean SSIM (Wang et al. 2004) of pictures (H, W, 3) of float64 that are zero outside."""
+    taps = torch.exp(-((torch.arange(11) - 5).double() ** 2) / 4.5)
+    window = torch.outer(taps, taps)[None, None] / taps.sum() ** 2
+    pictures = torch.stack([a, b, a * a, b * b, a * b]).permute(0, 3, 1, 2).flatten(0, 1)[:, None]
+    blurred = torch.nn.functional.conv2d(pictures, window, padding=5).unflatten(0, (5, 3))
+    mean_a, mean_b, square_a, square_b, product = blurred
+    top = (2 * mean_a * mean_b + 1e-4) * (2 * (product - mean_a * mean_b) + 9e-4)
+    squares = mean_a**2 + mean_b**2
+    return (top / ((squares + 1e-4) * (square_a + square_b - squares + 9e-4))).mean()
 
 
 def measure_usage(frames: Sequence[Gaussians], cameras: Sequence[Camera]) -> Usage:

@@ -11,7 +11,7 @@ from airgs_codec.trainer.fit import losses, optimise
 from tests import faces
 from tests.faces import FrameViews, InMotion, Trainer, TrainSettings, fit_first, from_gaussians, preset, scene_extent
 from tests.support.scenes import random_gaussians
-from tests.support.views import moved, ring, views_of
+from tests.support.views import moved, ring, views_of, windowed_ssim
 
 SIX = ("means", "quaternions", "log_scales", "opacity_logits", "sh_dc", "sh_rest")
 TRUTH = random_gaussians(40, 1)
@@ -54,7 +54,7 @@ def l_3dgs(p, views, name, sh_degree=1):
     view = next(v for v in views if v.camera.name == name)
     picture = losses.render(p, view.camera, sh_degree)[0].double()
     target = torch.from_numpy(view.target.rgb).double()
-    return float((1 - LAMBDA) * (picture - target).abs().mean() + LAMBDA * (1 - losses.windowed_ssim(picture, target)))
+    return float((1 - LAMBDA) * (picture - target).abs().mean() + LAMBDA * (1 - windowed_ssim(picture, target)))
 
 
 def raw_sum(p, base, rows):

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from airgs_codec.scene.sequence import GaussianSequence
 if TYPE_CHECKING:
     from airgs_codec.render.backend import Loaded, Renderer
 
+FrameRange = tuple[int, int | None]  # [start, stop); None: the last one, too
 HELD_OUT_SHARE = 8  # one camera in this number is held out where a scene names none
 
 
@@ -109,7 +110,7 @@ def in_frames(posed: Sequence[Posed], shot: Callable[[Posed], Shot]) -> tuple[tu
     return tuple(map(tuple, frames.values()))
 
 
-def frames_of(scene: MultiviewScene, span: tuple[int, int | None]) -> tuple[int, int]:
+def frames_of(scene: MultiviewScene, span: FrameRange) -> tuple[int, int]:
     """Return the frames [A, B) of a scene; None: its end. Raises SceneError where it does not have them."""
     start, stop = span[0], len(scene) if span[1] is None else span[1]
     if not 0 <= start < stop <= len(scene):
@@ -171,43 +172,30 @@ def without_masks(scene: MultiviewScene) -> MultiviewScene:
     return replace(scene, frames=tuple(tuple(replace(s, mask=None) for s in shots) for shots in scene.frames))
 
 
-class Drawing:
-    """Draws the frames of a sequence; the last one stays loaded for its further views. It can be pickled."""
-
-    def __init__(self, sequence: GaussianSequence, renderer: Renderer) -> None:
-        self.sequence, self.renderer = sequence, renderer
-        self._loaded: tuple[int, Loaded] | None = None
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Drawing, (self.sequence, self.renderer)
-
-    def draw(self, frame: int, camera: Camera) -> NDArray[np.uint8]:
-        if self._loaded is None or self._loaded[0] != frame:
-            self._loaded = frame, self.renderer.load(self.sequence.load([frame]).frames[0])
-        return to_bytes(self._loaded[1].draw(camera).rgb)
+@lru_cache(maxsize=1)  # the last one stays loaded for its further views
+def _loaded(sequence: GaussianSequence, frame: int, renderer: Renderer) -> Loaded:
+    return renderer.load(sequence.load([frame]).frames[0])
 
 
 @dataclass(frozen=True, slots=True)
 class DrawnSource:
     frame: int
     camera: Camera
-    drawing: Drawing
+    sequence: GaussianSequence
+    renderer: Renderer
     path: None = None  # it is in no file
 
     def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
-        return self.drawing.draw(self.frame, self.camera)
+        return to_bytes(_loaded(self.sequence, self.frame, self.renderer).draw(self.camera).rgb)
 
     def check(self, size: tuple[int, int]) -> None:
         """Accept any: the picture has the size of its camera."""
 
     def __str__(self) -> str:
-        return f"{self.drawing.sequence.paths[self.frame]} frame {self.frame}"
+        return f"{self.sequence.paths[self.frame]} frame {self.frame}"
 
 
 def drawn_scene(sequence: GaussianSequence, cameras: Sequence[Camera], renderer: Renderer) -> MultiviewScene:
-    drawing = Drawing(sequence, renderer)
-    frames = tuple(
-        tuple(Shot(camera, DrawnSource(frame, camera, drawing)) for camera in cameras) for frame in range(len(sequence))
-    )
-    background, origin = sequence.background, sequence.origin
-    return MultiviewScene(sequence.folder, sequence.fps, frames, None, background, sequence, origin=origin)
+    frames = [[Shot(c, DrawnSource(i, c, sequence, renderer)) for c in cameras] for i in range(len(sequence))]
+    known = tuple(map(tuple, frames)), None, sequence.background, sequence
+    return MultiviewScene(sequence.folder, sequence.fps, *known, origin=sequence.origin)

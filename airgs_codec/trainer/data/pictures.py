@@ -17,39 +17,37 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
-from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._sampling import evenly_spaced
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import box_mean, check_picture, read_mask, resize, to_bytes, to_floats, undistort
 from airgs_codec.render.cpu import Redraw
 from airgs_codec.scene.camera import Background, Camera, with_pixels
-from airgs_codec.trainer.data.multiview import MultiviewScene, Shot
+from airgs_codec.trainer.data.multiview import MultiviewScene
 from airgs_codec.trainer.settings import OFF, RANDOM, TrainSettings, named_background
 
-PICTURE_BYTES = 1 << 30  # of pictures in 8 bits: 40 in 4K, or 170 in 1080p
-TARGET_BYTES = 2 << 30  # of targets: 7 in 4K, or 28 in 1080p
+# Bytes of pictures in 8 bits, 40 in 4K or 170 in 1080p, and of targets, 7 in 4K or 28 in 1080p.
+MEMORY = PICTURE_BYTES, TARGET_BYTES = 1 << 30, 2 << 30
 
 Key = TypeVar("Key", bound=Hashable)
-Value = TypeVar("Value")
+Value = TypeVar("Value", bound=Any)  # has its bytes as `nbytes`
 
 
 class Recent(Generic[Key, Value]):
     """Values that are made on demand, of which those used last stay in memory."""
 
-    def __init__(
-        self, make: Callable[[Key], Value], most: int, size_of: Callable[[Value], int] = attrgetter("nbytes")
-    ) -> None:
+    def __init__(self, make: Callable[[Key], Value], most: int) -> None:
         """`most`: bytes of all; the newest value stays whatever it takes."""
-        self._make, self._most, self._size_of = make, most, size_of
+        self._make, self._most = make, most
         self._values: OrderedDict[Key, Value] = OrderedDict()
 
     @property
     def nbytes(self) -> int:
-        return sum(map(self._size_of, self._values.values()))
+        return sum(value.nbytes for value in self._values.values())
 
     def get(self, key: Key) -> Value:
         if key not in self._values:
@@ -72,7 +70,6 @@ class TargetPicture:
         """`rgb`: (H, W, 3), 0..1. `clear`: (H, W) share of the background in it; None: not known."""
         self.rgb, self.clear = np.ascontiguousarray(rgb, np.float32), clear
         self.moments: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None  # (H, n), by `fit.losses.moments`
-        self.on_device: Any = None  # a tensor of `rgb`, where the loss is computed on a device
 
     @property
     def rows(self) -> NDArray[np.float32]:
@@ -86,14 +83,14 @@ class TargetPicture:
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
     camera: Camera
-    picture: TargetPicture | Callable[[], TargetPicture]  # it, or what reads it
+    picture: Any  # `TargetPicture`, or what reads it; or a tensor of it, where the loss is computed on a device
     redraw: Redraw | None = None  # None: the whole picture is drawn
     after: float = 0.0  # as in `Shot`
 
     @property
-    def target(self) -> TargetPicture:
+    def target(self) -> Any:
         """Return the picture; hold it no longer than needed. Raises SceneError where it cannot be read."""
-        return self.picture if isinstance(self.picture, TargetPicture) else self.picture()
+        return self.picture() if callable(self.picture) else self.picture
 
     def before(self, background: Background) -> View:
         """Return the same before another background. Raises ValueError where the picture has no alpha."""
@@ -142,19 +139,15 @@ class ScenePictures:
     """The pictures of a scene at training size, of one exposure, with plates where they are at rest."""
 
     def __init__(
-        self,
-        scene: MultiviewScene,
-        settings: TrainSettings | None = None,
-        picture_bytes: int = PICTURE_BYTES,
-        target_bytes: int = TARGET_BYTES,
+        self, scene: MultiviewScene, settings: TrainSettings | None = None, memory: Sequence[int] = MEMORY
     ) -> None:
-        """Read nothing yet; `picture_bytes`, `target_bytes`: bounds of the memory of pictures in 8 bits and targets."""
-        self._scene, self._settings, self._target_bytes = scene, settings or TrainSettings(), target_bytes
+        """Read nothing yet; `memory`: bytes of pictures in 8 bits, and of targets."""
+        self._scene, self._settings, self._target_bytes = scene, settings or TrainSettings(), memory[1]
         self.background = named_background(self._settings.background) or scene.background
         self.exposure: Exposure = {}
         self.plates: Plates = {}  # of every training camera; none: nothing is known to be at rest
         self._moving: dict[int, Masks] = {}  # of the last frame that was a target
-        self._stored, self._targets = Recent(self._load, picture_bytes), Recent(self._make_target, target_bytes)
+        self._stored, self._targets = Recent(self._load, memory[0]), Recent(self._make_target, memory[1])
 
     def with_exposure(self, exposure: Exposure) -> ScenePictures:
         """Return the same pictures as the average camera would have exposed them; the buffer in 8 bits is shared."""
@@ -174,10 +167,10 @@ class ScenePictures:
         return self._stored.nbytes + self._targets.nbytes
 
     def train(self, frame: int) -> list[View]:
-        return self._split(frame, held_out=False)
+        return [self.view(frame, i) for i, s in enumerate(self._scene.frames[frame]) if not s.camera.held_out]
 
     def held_out(self, frame: int) -> list[View]:
-        return self._split(frame, held_out=True)
+        return [self.view(frame, i) for i, s in enumerate(self._scene.frames[frame]) if s.camera.held_out]
 
     def target(self, frame: int, start: int) -> FrameViews:
         """Return a frame as it is fitted from the Gaussians of the frame `start`."""
@@ -196,10 +189,6 @@ class ScenePictures:
         """Return the training views of a frame with their plates where they are at rest, and masks where not."""
         views = self.train(frame)
         return settle(views, self.plates, self.exposure) if self.plates else (views, None)
-
-    def _split(self, frame: int, held_out: bool) -> list[View]:
-        shots = self._scene.frames[frame]
-        return [self.view(frame, i) for i, s in enumerate(shots) if s.camera.held_out == held_out]
 
     def view(self, frame: int, index: int) -> View:
         shot = self._scene.frames[frame][index]
@@ -221,14 +210,15 @@ class ScenePictures:
                     self._stored.get((frame, index))
                 else:
                     shot.source.check(shot.size)
-                    self._check_mask(shot)
+                if self._settings.foreground != OFF:
+                    if shot.mask is None:
+                        raise SceneError(f"{shot.source}: expected a mask of the foreground, the scene has none")
+                    check_picture(shot.mask, shot.size)
 
     def _scaled(self, camera: Camera) -> Camera:
-        camera, longest = replace(camera, background=self.background), max(camera.width, camera.height)
-        factor = (self._settings.max_size or longest) / longest
-        if factor >= 1:
-            return camera
-        return with_pixels(camera, max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
+        size = camera.width, camera.height
+        factor = min(1.0, (self._settings.max_size or max(size)) / max(size))
+        return with_pixels(replace(camera, background=self.background), *(max(1, round(n * factor)) for n in size))
 
     def _make_target(self, key: tuple[int, int]) -> TargetPicture:
         stored, shot = self._stored.get(key), self._scene.frames[key[0]][key[1]]
@@ -239,28 +229,21 @@ class ScenePictures:
         """Return (H, W, 3) before the background; with alpha or a mask (H, W, 4), the last being its share."""
         shot = self._scene.frames[key[0]][key[1]]
         camera, data = self._scaled(shot.camera), shot.source.read(shot.size)
-        self._check_mask(shot)
         mask = read_mask(shot.mask, shot.size) if self._settings.foreground != OFF and shot.mask else None
-        if mask is None and data.shape[2] == 3:
-            if self._settings.background == RANDOM:
-                raise SceneError(f"{shot.source}: expected alpha for random backgrounds, got an opaque picture")
-            if shot.lens is None and shot.size == (camera.width, camera.height):
-                return np.ascontiguousarray(data)
-            whole = to_floats(data)
-        else:
-            values = to_floats(data)
-            rgb, alpha = values[..., :3], values[..., 3] if data.shape[2] == 4 else np.ones(data.shape[:2], np.float32)
+        opaque = data.shape[2] == 3
+        plain = opaque and mask is None
+        if plain and self._settings.background == RANDOM:
+            raise SceneError(f"{shot.source}: expected alpha for random backgrounds, got an opaque picture")
+        if plain and shot.lens is None and shot.size == (camera.width, camera.height):
+            return np.ascontiguousarray(data)
+        whole = to_floats(data)
+        if not plain:
+            rgb, alpha = whole[..., :3], np.ones(data.shape[:2], np.float32) if opaque else whole[..., 3]
             clear = 1 - (alpha if mask is None else alpha * mask)[..., None]
             whole = np.concatenate([(1 - clear) * rgb + clear * np.array(self.background, np.float32), clear], axis=2)
         if shot.lens:
             whole = undistort(whole, shot.lens)
         return to_bytes(resize(whole, camera.width, camera.height))
-
-    def _check_mask(self, shot: Shot) -> None:
-        if self._settings.foreground != OFF:
-            if shot.mask is None:
-                raise SceneError(f"{shot.source}: expected a mask of the foreground, the scene has none")
-            check_picture(shot.mask, shot.size)
 
 
 def normalised(picture: NDArray[np.float32], values: Sequence[float] | None) -> NDArray[np.float32]:
@@ -289,7 +272,7 @@ def plate_sources(scene: MultiviewScene) -> list[tuple[int, list[int]]]:
     """Return the training cameras that plates are taken from, as numbers, and the frames of each."""
     if len(scene) < 3 or not stands_still(scene):
         return []
-    frames: list[int] = np.unique(np.linspace(0, len(scene) - 1, 16).round().astype(int)).tolist()
+    frames = evenly_spaced(len(scene), 16)
     return [(i, frames) for i, camera in enumerate(scene.cameras) if not camera.held_out]
 
 

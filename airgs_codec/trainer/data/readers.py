@@ -29,6 +29,7 @@ from airgs_codec.scene.files import Cursor, expecting, read_object
 from airgs_codec.scene.formats.ply import read_points
 from airgs_codec.scene.formats.table import has_frames, is_frame, natural_key
 from airgs_codec.trainer.data.multiview import (
+    FrameRange,
     MultiviewScene,
     Points,
     Shot,
@@ -39,10 +40,8 @@ from airgs_codec.trainer.data.multiview import (
     open_video,
 )
 
-POINT_FILES = (
-    "points3d.ply", "points3D.ply", "points_frame0.ply", "points.ply", "sparse_pc.ply", "points3d.npy",
-    "init_pt_cld.npz",
-)  # fmt: skip
+CLOUDS = tuple(f"{name}.ply" for name in ("points3d", "points3D", "points_frame0", "points", "sparse_pc"))
+POINT_FILES = (*CLOUDS, "points3d.npy", "init_pt_cld.npz")
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 
@@ -57,20 +56,16 @@ def read_transforms(folder: Path) -> MultiviewScene:
     """
     path = folder / forms.TRANSFORMS
     posed = read_posed(path)
-    fps, points = _frame_rate(path), _named_points(folder, read_object(path).get("ply_file_path"))
+    fps, points, name = _frame_rate(path), None, read_object(path).get("ply_file_path")
+    if name is not None:
+        with expecting(path, "the points of ply_file_path"):
+            if not isinstance(name, str) or not (folder / as_path(name)).is_file():
+                raise ValueError(f"got no file {name}")
+        points = Points(*read_points(folder / as_path(name)))
     films = {p.camera.name: (_picture_shot(folder, p), folder / p.picture) for p in posed}
     if all(path.suffix.lower() in VIDEO_SUFFIXES for _, path in films.values()):
         return replace(scene_from_films(folder, list(films.values())), points=points)
     return MultiviewScene(folder, fps, in_frames(posed, partial(_picture_shot, folder)), points)
-
-
-def _named_points(folder: Path, name: object) -> Points | None:
-    if name is None:
-        return None
-    with expecting(folder / forms.TRANSFORMS, "the points of ply_file_path"):
-        if not isinstance(name, str) or not (folder / as_path(name)).is_file():
-            raise ValueError(f"got no file {name}")
-    return Points(*read_points(folder / as_path(name)))
 
 
 def _picture_shot(folder: Path, posed: Posed) -> Shot:
@@ -80,19 +75,17 @@ def _picture_shot(folder: Path, posed: Posed) -> Shot:
 
 
 def read_panoptic(folder: Path) -> MultiviewScene:
+    def shot(posed: Posed) -> Shot:
+        mask = folder / "seg" / Path(posed.picture).with_suffix(".png")
+        return _shot(posed, folder / "ims" / posed.picture, posed.camera.name, mask if mask.is_file() else None)
+
     path = folder / forms.PANOPTIC
-    posed = read_posed(path)
-    return MultiviewScene(folder, _frame_rate(path), in_frames(posed, partial(_masked_shot, folder)))
+    return MultiviewScene(folder, _frame_rate(path), in_frames(read_posed(path), shot))
 
 
 def _frame_rate(path: Path) -> Fraction:
     with expecting(path, "a frame rate"):
         return frame_rate(str(path), exact_number(str(read_object(path).get("fps", DEFAULT_FPS))))
-
-
-def _masked_shot(folder: Path, posed: Posed) -> Shot:
-    mask = folder / "seg" / Path(posed.picture).with_suffix(".png")
-    return _shot(posed, folder / "ims" / posed.picture, posed.camera.name, mask if mask.is_file() else None)
 
 
 def scene_from_films(folder: Path, films: Sequence[Film]) -> MultiviewScene:
@@ -103,11 +96,9 @@ def scene_from_films(folder: Path, films: Sequence[Film]) -> MultiviewScene:
     counts = sorted({len(pictures) for pictures in sources})
     if len(counts) > 1:
         raise SceneError(f"{folder}: expected as many frames of every camera, got {counts[0]} to {counts[-1]}")
-    frames = tuple(
-        tuple(replace(shot, source=source) for (shot, _), source in zip(films, moment, strict=True))
-        for moment in zip(*sources, strict=True)
-    )
-    return MultiviewScene(folder, DEFAULT_FPS, frames)
+    moments = zip(*sources, strict=True)
+    frames = (tuple(replace(shot, source=s) for (shot, _), s in zip(films, m, strict=True)) for m in moments)
+    return MultiviewScene(folder, DEFAULT_FPS, tuple(frames))
 
 
 def _joined_by_time(folder: Path, films: Sequence[Film]) -> MultiviewScene:
@@ -129,10 +120,8 @@ def _joined_by_time(folder: Path, films: Sequence[Film]) -> MultiviewScene:
         raise SceneError(f"{folder}: expected videos of one time, they begin up to {max(late)} frames apart")
     every = sorted(set().union(*shown))
     moments = [frame for frame in every if min(common) <= frame <= max(common)]
-    frames = tuple(
-        tuple(replace(s, source=Source(path, of[m])) for (s, path), of in zip(films, shown, strict=True) if m in of)
-        for m in moments
-    )
+    taken = [(*film, of) for film, of in zip(films, shown, strict=True)]
+    frames = (tuple(replace(s, source=Source(path, of[m])) for s, path, of in taken if m in of) for m in moments)
     cameras: dict[str, list[str]] = {}
     for (shot, _), clock, at, of in zip(films, clocks, late, shown, strict=True):
         dropped = sum(moment not in of for moment in moments)
@@ -143,7 +132,7 @@ def _joined_by_time(folder: Path, films: Sequence[Film]) -> MultiviewScene:
     if cut := max(every) + 1 - len(moments):
         words.append(f"left out are {cut} of {max(every) + 1} frames, which no camera has, or at the ends not all have")
     note = f"{len(moments)} frames of {float(fps):g} a second, joined by time; {'; '.join(words)}"
-    return MultiviewScene(folder, fps, frames, notes=(note,) if words else ())
+    return MultiviewScene(folder, fps, tuple(frames), notes=(note,) if words else ())
 
 
 def shortened(names: Sequence[str]) -> str:
@@ -152,9 +141,8 @@ def shortened(names: Sequence[str]) -> str:
 
 def find_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
     """Return the files in a folder with some suffixes, by name; none where it does not exist."""
-    if not folder.is_dir():
-        return []
-    return sorted((path for path in folder.iterdir() if path.suffix.lower() in suffixes), key=natural_key)
+    paths = folder.iterdir() if folder.is_dir() else ()
+    return sorted((path for path in paths if path.suffix.lower() in suffixes), key=natural_key)
 
 
 def read_poses_bounds(folder: Path) -> MultiviewScene:
@@ -180,8 +168,7 @@ def read_colmap(folder: Path) -> MultiviewScene:
     images. Raises SceneError.
     """
     model = colmap.find_model(folder)
-    if model is None:
-        raise SceneError(f"{folder}: expected a COLMAP reconstruction, got none")
+    assert model is not None  # by which the folder was recognised
     posed, points = colmap.read(model), read_points3d(model)
     shots: dict[str, Shot] = {}
     for image in posed:
@@ -203,21 +190,20 @@ def _shot(posed: Posed, picture: Path, name: str, mask: Path | None = None) -> S
 
 def _film(folder: Path, name: str) -> Path | None:
     videos = (*find_files(folder / "videos", VIDEO_SUFFIXES), *find_files(folder, VIDEO_SUFFIXES))
-    places = (folder / "frames" / name, folder / "images" / name)
     films = [video for video in videos if video.stem == name]
-    films += [place for place in places if len(find_files(place, PICTURE_SUFFIXES)) > 1]
-    return films[0] if films else None
+    places = (folder / "frames" / name, folder / "images" / name)
+    return next(iter(films), None) or next((p for p in places if len(find_files(p, PICTURE_SUFFIXES)) > 1), None)
 
 
 def read_points3d(model: Path) -> Points | None:
     """Read the cloud of points in the folder of a reconstruction; None where it has no file. Raises SceneError."""
-    for name, rows in (("points3D.bin", _rows_of_binary), ("points3D.txt", _rows_of_text)):
-        path = model / name
-        if path.is_file():
-            with expecting(path, "points of a COLMAP reconstruction"):
-                table = np.array(list(rows(path)), np.float64).reshape(-1, 6)
-            return Points(table[:, :3], table[:, 3:].astype(np.float32) / np.float32(255))
-    return None
+    path = next((path for name in ("points3D.bin", "points3D.txt") if (path := model / name).is_file()), None)
+    if path is None:
+        return None
+    with expecting(path, "points of a COLMAP reconstruction"):
+        rows = _rows_of_binary(path) if path.suffix == ".bin" else _rows_of_text(path)
+        table = np.array(list(rows), np.float64).reshape(-1, 6)
+    return Points(table[:, :3], table[:, 3:].astype(np.float32) / np.float32(255))
 
 
 def _rows_of_binary(path: Path) -> Iterator[tuple[float, ...]]:
@@ -240,12 +226,12 @@ HIFI4G = "image_white_undistortion"
 
 
 def has_hifi4g(folder: Path) -> bool:
-    return (folder / HIFI4G).is_dir() or (folder.name == HIFI4G and _hifi4g_model(folder) is not None)
+    return (folder / HIFI4G).is_dir() or (folder.name == HIFI4G and colmap.find_model(folder / "colmap") is not None)
 
 
 def read_hifi4g(folder: Path) -> MultiviewScene:
     pictures = folder / HIFI4G if (folder / HIFI4G).is_dir() else folder
-    model = _hifi4g_model(folder) or _hifi4g_model(pictures)
+    model = colmap.find_model(folder / "colmap") or colmap.find_model(pictures / "colmap")
     if model is None:
         raise SceneError(f"{folder}: expected colmap/sparse in it or in {HIFI4G}/, got none")
     numbered = [path for path in pictures.iterdir() if path.is_dir() and path.name.isdecimal()]
@@ -259,10 +245,6 @@ def read_hifi4g(folder: Path) -> MultiviewScene:
             raise SceneError(f"{path}: expected pictures of {len(names)} cameras, got none of {', '.join(missing[:8])}")
         frames.append(tuple(_shot(image, of[name], name) for image, name in zip(posed, names, strict=True)))
     return MultiviewScene(folder, DEFAULT_FPS, tuple(frames), read_points3d(model), (1.0, 1.0, 1.0))
-
-
-def _hifi4g_model(folder: Path) -> Path | None:
-    return colmap.find_model(folder / "colmap") if (folder / "colmap").is_dir() else None
 
 
 def _has(name: str) -> Callable[[Path], bool]:
@@ -296,9 +278,7 @@ def has_gaussians(place: str | Path) -> bool:
     return frames > 1 or (frames == 1 and _reader(path) is None)
 
 
-def open_scene(
-    folder: Path, *, fps: Fraction | None = None, frames: tuple[int, int | None] = (0, None)
-) -> MultiviewScene:
+def open_scene(folder: Path, *, fps: Fraction | None = None, frames: FrameRange = (0, None)) -> MultiviewScene:
     """Open the multi-view scene in a folder, or its frames [A, B), without reading pictures yet.
 
     `fps`: frames a second, instead of what the scene says. Raises SceneError when no format fits, or a file or frames

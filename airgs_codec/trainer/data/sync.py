@@ -26,7 +26,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.files import expecting, read_object
-from airgs_codec.trainer.data.multiview import MultiviewScene, Shot, frames_of
+from airgs_codec.trainer.data.multiview import FrameRange, MultiviewScene, Shot, frames_of
 from airgs_codec.trainer.data.pictures import ScenePictures, stands_still
 from airgs_codec.trainer.fit.points import neighbours
 from airgs_codec.trainer.settings import TrainSettings
@@ -39,12 +39,11 @@ BINS = 96  # of the angle around a baseline
 WHOLE = 1e-3  # frames: an offset that is as near to a whole number is one
 
 Pair = tuple[int, int]
+Signals = dict[Pair, NDArray[np.float64]]  # (T - 1, B) for each pair of a camera
 Curves = Mapping[Pair, NDArray[np.float64]]  # (L,) correlation of two cameras for each lag; NaN: too little overlap
 
 
-def find_offsets(
-    scene: MultiviewScene, span: tuple[int, int | None] = (0, None), progress: Progress = silent
-) -> dict[str, float]:
+def find_offsets(scene: MultiviewScene, span: FrameRange = (0, None), progress: Progress = silent) -> dict[str, float]:
     """Return the offsets of a scene's cameras against their median, at most about REACH frames, in quarters of a frame.
 
     `span`: the frames [A, B) that are wanted; where they are few, those around them are compared as well.
@@ -71,10 +70,8 @@ def find_offsets(
         if len(own) < 2 or abs(offsets[camera]) < PARTS_OF_FRAME / 2 or np.mean([agrees[pair] for pair in own]) < 0.5:
             return False
         without = [lags[pair] - int(offsets[camera]) * (1 if camera == pair[1] else -1) for pair in own]
-        at = [
-            np.nan_to_num(curves[pair][[lags[pair] - LAGS[0], lag - LAGS[0]]])
-            for pair, lag in zip(own, without, strict=True)
-        ]
+        places = ((pair, np.array([lags[pair], lag]) - LAGS[0]) for pair, lag in zip(own, without, strict=True))
+        at = [np.nan_to_num(curves[pair][place]) for pair, place in places]
         gains = -np.diff(at, axis=1)
         return bool(gains.mean() >= 3 * max(float(gains.std(ddof=1)), 0.01) / np.sqrt(len(gains)))
 
@@ -83,8 +80,8 @@ def find_offsets(
 
 def compare(scene: MultiviewScene, frames: range, progress: Progress = silent) -> Curves:
     """Return the correlation of neighbouring cameras for each lag. Raises SceneError for a broken picture."""
-    pictures = ScenePictures(scene, TrainSettings(max_size=240), 1, 1)
-    cameras, signals = pictures.cameras(), list[dict[Pair, NDArray[np.float64]]]()
+    pictures = ScenePictures(scene, TrainSettings(max_size=240), (1, 1))
+    cameras, signals = pictures.cameras(), list[Signals]()
     bins = {(a, b): both for a, b in neighbours(cameras, 8) if (both := _shared_bins(cameras[a], cameras[b]))}
     for index in range(len(cameras)):
         own = {pair: both[pair.index(index)] for pair, both in bins.items() if index in pair}
@@ -95,8 +92,10 @@ def compare(scene: MultiviewScene, frames: range, progress: Progress = silent) -
 
 def _shared_bins(a: Camera, b: Camera) -> tuple[NDArray[np.intp], ...] | None:
     """(H * W,) bins of pixels' angles around the baseline of two cameras, BINS where the other sees none; or None."""
-    along, ahead = _unit(b.position - a.position), a.world_to_camera[2, :3] + b.world_to_camera[2, :3]
-    ahead = _unit(ahead - along * (ahead @ along))
+    along, ahead = b.position - a.position, a.world_to_camera[2, :3] + b.world_to_camera[2, :3]
+    along = along / (np.linalg.norm(along) or 1.0)
+    ahead = ahead - along * (ahead @ along)
+    ahead /= np.linalg.norm(ahead) or 1.0
     if not (along.any() and ahead.any()):
         return None
     angles = [np.arctan2(rays @ np.cross(along, ahead), rays @ ahead) for rays in (_rays(a), _rays(b))]
@@ -107,10 +106,6 @@ def _shared_bins(a: Camera, b: Camera) -> tuple[NDArray[np.intp], ...] | None:
     return tuple(np.where((of >= 0) & (of < BINS), of, BINS) for of in bins)
 
 
-def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    return vector / (np.linalg.norm(vector) or 1.0)
-
-
 def _rays(camera: Camera) -> NDArray[np.float64]:
     x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
@@ -118,10 +113,8 @@ def _rays(camera: Camera) -> NDArray[np.float64]:
     return np.stack([u, v, np.ones_like(u)], axis=-1).reshape(-1, 3) @ camera.world_to_camera[:3, :3]
 
 
-def _signals(
-    pictures: ScenePictures, index: int, frames: range, bins: Mapping[Pair, NDArray[np.intp]]
-) -> dict[Pair, NDArray[np.float64]]:
-    """(T - 1, B) for each pair of a camera: mean motion of the pixels in each bin, from each frame to the next."""
+def _signals(pictures: ScenePictures, index: int, frames: range, bins: Mapping[Pair, NDArray[np.intp]]) -> Signals:
+    """Mean motion of the pixels in each bin, from each frame to the next."""
     sizes = {pair: np.maximum(np.bincount(places, minlength=BINS + 1)[:BINS], 1) for pair, places in bins.items()}
     out, before = {pair: np.zeros((len(frames) - 1, BINS)) for pair in bins}, None
     for place, frame in enumerate(frames):
@@ -144,8 +137,8 @@ def correlate(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArra
     """
     fine, levelled = np.arange(PARTS_OF_FRAME * (len(first) - 1) + 1) / PARTS_OF_FRAME, []
     for signal in (first, second):
-        deviation = signal.std(axis=0)
-        level = signal / (deviation + 0.5 * np.sqrt(np.mean(deviation**2)) + 1e-9)  # 0 / 0 where nothing moves
+        spread = signal.std(axis=0)
+        level = signal / (spread + 0.5 * np.sqrt(np.mean(spread**2)) + 1e-9)  # 0 / 0 where nothing moves
         levelled.append(CubicSpline(np.arange(len(signal)), level)(fine))
     (a, b), out = levelled, np.full(len(LAGS), np.nan)
     for place, lag in enumerate(LAGS.tolist()):
@@ -188,9 +181,7 @@ def solve(curves: Curves, count: int) -> NDArray[np.intp]:
     return offsets - np.sort(offsets)[(count - 1) // 2]
 
 
-def in_step(
-    scene: MultiviewScene, offsets: Mapping[str, float], span: tuple[int, int | None] = (0, None)
-) -> MultiviewScene:
+def in_step(scene: MultiviewScene, offsets: Mapping[str, float], span: FrameRange = (0, None)) -> MultiviewScene:
     """Return frames [A, B) of a scene, in whose frame t each camera shows what it took first from t + its offset on.
 
     An offset is in frames, positive where a camera is late, and 0 unless named. Frames that not all cameras have are

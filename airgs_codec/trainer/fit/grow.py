@@ -42,7 +42,7 @@ class Growth:
     stop: float = 0.6  # share of the iterations
     every: int = 50  # iterations
     large: float = 0.003  # of the scene's extent: larger Gaussians are split, smaller ones cloned
-    threshold: float | None = None  # on the mean gradient of a row, as `AbsGrad.signed` gives it; None: a ramp
+    threshold: float | None = None  # on the mean gradient of a row, as `AbsGrad.read` gives it, signed; None: a ramp
 
     def target(self, before: int, done: float) -> int:
         """Return the number of rows wanted when a share `done` of the iterations is past, starting from `before`.
@@ -78,7 +78,7 @@ class Densifier:
 
     def collect(self, absgrad: AbsGrad, picked: Callable[[torch.Tensor], torch.Tensor] | None = None) -> None:
         """Add the gradients of an iteration after its backward pass; `picked` takes those of fitted rows."""
-        gradients, seen = absgrad.read() if self.growth.threshold is None else absgrad.signed()
+        gradients, seen = absgrad.read(signed=self.growth.threshold is not None)
         if picked:
             gradients, seen = picked(gradients), picked(seen)
         self._sum = self._sum.to(gradients.device) + gradients

@@ -26,12 +26,13 @@ from numpy.typing import NDArray
 
 from airgs_codec.analysis.sensitivity import measure_sensitivity
 from airgs_codec.coding.motion import StepSettings, classify_motion, motion_units
+from airgs_codec.media.image import to_bytes, to_floats
 from airgs_codec.media.metrics import Picture, psnr
+from airgs_codec.render import cuda
 from airgs_codec.render.backend import CPU, Loaded, Renderer
 from airgs_codec.render.compare import compare
-from airgs_codec.render.cpu import POOLED, RasterInputs, Redraw
-from airgs_codec.render.cuda import AbsGrad, rasterize_views, upload
-from airgs_codec.render.cuda import Picture as Drawn
+from airgs_codec.render.cpu import POOLED, RasterInputs
+from airgs_codec.render.cuda import AbsGrad, Pictures, rasterize, upload
 from airgs_codec.scene.camera import Camera, scene_scale
 from airgs_codec.scene.frames import QUATERNION_MIN_NORM
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
@@ -111,59 +112,57 @@ def zeros_like(p: Mapping[str, torch.Tensor]) -> Parameters:
     return {name: torch.zeros_like(value) for name, value in p.items()}
 
 
-def take_and_append(
-    old: Mapping[str, torch.Tensor], keep: torch.Tensor, new: Mapping[str, torch.Tensor] | None
-) -> Parameters:
+def take_and_append(old: Parameters, keep: torch.Tensor, new: Parameters | None) -> Parameters:
     """Return the rows of `old` in the mask `keep` (N,), in order, and the rows of `new` after them."""
     return {n: v[keep] if new is None else torch.cat([v[keep], new[n]]) for n, v in old.items()}
 
 
-def render(p: Mapping[str, torch.Tensor], camera: Camera, sh_degree: int, absgrad: AbsGrad | None = None) -> Drawn:
+def render(p: Parameters, camera: Camera, sh_degree: int, absgrad: AbsGrad | None = None) -> Pictures:
     """Draw the picture (H, W, 3) and its transmittance (H, W), differentiable, with SH up to `sh_degree`."""
-    return rasterize_views(_activated(p, sh_degree), [camera], absgrad)[0]
+    rgb, transmittance = render_views(p, [camera], sh_degree, absgrad)
+    return rgb[0], transmittance[0]
 
 
-def render_views(
-    p: Mapping[str, torch.Tensor],
-    cameras: Sequence[Camera],
-    sh_degree: int,
-    absgrad: AbsGrad | None = None,
-    redraws: Sequence[Redraw | None] | None = None,
-) -> list[Drawn]:
-    """Draw the same for each of several cameras; `redraws`: one for each, as in `rasterize`."""
-    return rasterize_views(_activated(p, sh_degree), cameras, absgrad, redraws)
-
-
-def _activated(p: Mapping[str, torch.Tensor], sh_degree: int) -> RasterInputs[torch.Tensor]:
+def render_views(p: Parameters, cameras: Sequence[Camera], sh_degree: int, *more: Any) -> Pictures:
+    """Draw the same for each of several cameras (C, H, W, ...); `more`: of `rasterize`."""
     sh = torch.cat([p["sh_dc"][:, None], p["sh_rest"][:, : SH_REST[sh_degree]]], dim=1)
-    return RasterInputs(p["means"], p["quaternions"], p["log_scales"].exp(), p["opacity_logits"].sigmoid(), sh)
+    scales, opacities = p["log_scales"].exp(), p["opacity_logits"].sigmoid()
+    return rasterize(RasterInputs(p["means"], p["quaternions"], scales, opacities, sh), cameras, *more)
 
 
 POOLED.append(kernels)
 LAMBDA = 0.2  # weight of 1 - SSIM, as AirGS and 3DGS have it
 
 
-def photometric(rgb: torch.Tensor, target: TargetPicture, weight: float = LAMBDA) -> torch.Tensor:
-    """Return L_3DGS of a rendered picture (H, W, 3), a scalar; `weight` is lambda."""
-    loss: torch.Tensor = _on_cuda(rgb, target, weight) if rgb.is_cuda else _Fused.apply(rgb, target, weight)
+def photometric(rgb: torch.Tensor, targets: Sequence[Any], weight: float = LAMBDA) -> torch.Tensor:
+    """Return L_3DGS (C,) of rendered pictures (C, H, W, 3); `weight` is lambda.
+
+    `targets`: of their views, on CUDA of `uploaded` ones.
+    """
+    if cuda.by_gsplat(rgb):
+        loss: torch.Tensor = _InPlanes.apply(rgb, as_floats(torch.stack(list(targets))), weight)
+    else:
+        loss = _InRows.apply(rgb, targets, weight)
     return loss
 
 
-class _Fused(torch.autograd.Function):
+class _InRows(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, rgb: torch.Tensor, target: TargetPicture, weight: float) -> torch.Tensor:
-        rows = np.ascontiguousarray(rgb.detach().numpy(), np.float32).reshape(target.rows.shape)
-        gradient = np.empty_like(rows)
-        sums = np.empty((len(rows), 2))
-        arguments = (1 - weight, weight, *_scratch(rows.shape), gradient, sums)
-        kernels.l1_dssim(rows, target.rows, *moments(target), *arguments)
-        l1, ssim = sums.sum(axis=0) / rows.size
-        ctx.gradient = torch.from_numpy(gradient.reshape(rgb.shape))
-        return torch.tensor((1 - weight) * l1 + weight * (1 - ssim), dtype=torch.float32)
+    def forward(ctx: Any, rgb: torch.Tensor, targets: Sequence[TargetPicture], weight: float) -> torch.Tensor:
+        pictures = np.ascontiguousarray(rgb.detach().numpy(), np.float32)
+        gradient, losses = np.empty_like(pictures), []
+        for picture, target, into in zip(pictures, targets, gradient, strict=True):
+            rows, sums = picture.reshape(target.rows.shape), np.empty((len(picture), 2))
+            arguments = (1 - weight, weight, *_scratch(rows.shape), into.reshape(rows.shape), sums)
+            kernels.l1_dssim(rows, target.rows, *moments(target), *arguments)
+            l1, ssim = sums.sum(axis=0) / rows.size
+            losses.append((1 - weight) * l1 + weight * (1 - ssim))
+        ctx.gradient = torch.from_numpy(gradient)
+        return torch.tensor(losses, dtype=torch.float32)
 
     @staticmethod
     def backward(ctx: Any, *grads: Any) -> tuple[Any, ...]:
-        return ctx.gradient * grads[0], None, None
+        return ctx.gradient * grads[0][:, None, None, None], None, None
 
 
 def moments(target: TargetPicture) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -180,33 +179,65 @@ def _scratch(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.fl
     return np.zeros(padded, np.float32), np.zeros(padded, np.float32)
 
 
-def _on_cuda(rgb: torch.Tensor, target: TargetPicture, weight: float) -> torch.Tensor:
-    if target.on_device is None:
-        target.on_device = upload(target.rgb, rgb.device)
-    truth: torch.Tensor = target.on_device
-    return (1 - weight) * (rgb - truth).abs().mean() + weight * (1 - windowed_ssim(rgb, truth))
+class _InPlanes(torch.autograd.Function):
+    """The same of all pictures at once, on any device, in as few operators as possible: a launch takes longer."""
+
+    @staticmethod
+    def forward(ctx: Any, rgb: torch.Tensor, y: torch.Tensor, weight: float) -> torch.Tensor:
+        x = rgb.permute(0, 3, 1, 2).contiguous()
+        mean_x, mean_y, square_x, square_y, product = _blur(x, y, x * x, y * y, x * y)
+        means, squares = mean_x * mean_y, torch.addcmul(mean_x * mean_x, mean_y, mean_y)
+        c1, c2 = float(kernels.C1), float(kernels.C2)
+        a, b = means.mul(2).add_(c1), (product - means).mul_(2).add_(c2)
+        c, d = squares + c1, (square_x + square_y).sub_(squares).add_(c2)
+        # SSIM is a b / (c d). Half its derivatives by the windowed x, x^2 and x y; variances depend on the first, too.
+        whole = c * d
+        by_product = a / whole
+        ssim = by_product * b
+        by_square = ssim / d
+        by_mean = (b / whole).sub_(by_product).mul_(mean_y).addcmul_(mean_x, by_square - ssim / c)
+        by_mean, by_square, by_product = _blur(by_mean, by_square, by_product)
+        gradient, size = by_mean.addcmul_(x, by_square, value=-1).addcmul_(y, by_product), x[0].numel()
+        error = x - y
+        ctx.gradient = gradient.mul_(-2 * weight / size).add_(error.sign(), alpha=(1 - weight) / size)
+        l1, similarity = error.abs_().mean(dim=(1, 2, 3)), ssim.mean(dim=(1, 2, 3))
+        return (l1 * (1 - weight)).sub_(similarity, alpha=weight).add_(weight)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Any) -> tuple[Any, ...]:
+        return (ctx.gradient * grads[0].view(-1, 1, 1, 1)).permute(0, 2, 3, 1), None, None
+
+
+def uploaded(views: Sequence[View], device: torch.device) -> list[View]:
+    """Return views whose targets (3, H, W) are on a device: in bytes where those are exact for all, else in float32."""
+    found = []
+    for view in views:
+        rgb = view.target.rgb
+        levels = to_bytes(rgb)
+        exact = levels if np.array_equal(to_floats(levels), rgb) else rgb
+        found.append(replace(view, picture=upload(np.ascontiguousarray(np.moveaxis(exact, 2, 0)), device)))
+    alike = len({view.target.dtype for view in found}) == 1
+    return found if alike else [replace(view, picture=as_floats(view.target)) for view in found]
+
+
+def as_floats(levels: torch.Tensor) -> torch.Tensor:
+    return levels if levels.is_floating_point() else levels.float().div_(255)
 
 
 @cache
-def _window(dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+def _windows(count: int, device: torch.device, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor]:
     half = [kernels.W0, kernels.W1, kernels.W2, kernels.W3, kernels.W4]
-    return torch.tensor([*half, kernels.W5, *half[::-1]]).to(device, dtype)
+    window = torch.tensor([*half, kernels.W5, *half[::-1]]).to(device, dtype).repeat(count, 1, 1, 1)
+    return window, window.transpose(2, 3).contiguous()
 
 
-def windowed_ssim(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """Return the mean SSIM (Wang et al. 2004) of pictures (H, W, 3) that are zero outside, on any device."""
-    window = _window(a.dtype, a.device)
-
-    def blur(x: torch.Tensor) -> torch.Tensor:
-        x = x.permute(2, 0, 1)[:, None]
-        x = torch.nn.functional.conv2d(x, window.reshape(1, 1, 1, -1), padding=(0, kernels.RADIUS))
-        return torch.nn.functional.conv2d(x, window.reshape(1, 1, -1, 1), padding=(kernels.RADIUS, 0))[:, 0]
-
-    mean_a, mean_b = blur(a), blur(b)
-    var_a, var_b, covariance = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2, blur(a * b) - mean_a * mean_b
-    c1, c2 = float(kernels.C1), float(kernels.C2)
-    top = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
-    return (top / ((mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2))).mean()
+def _blur(*pictures: torch.Tensor) -> Sequence[torch.Tensor]:
+    """Windowed pictures (C, 3, H, W) that are zero outside, in one convolution across and one down."""
+    planes = torch.stack(pictures).flatten(0, 2)[None]
+    across, down = _windows(planes.shape[1], planes.device, planes.dtype)
+    planes = torch.nn.functional.conv2d(planes, across, padding=(0, kernels.RADIUS), groups=planes.shape[1])
+    planes = torch.nn.functional.conv2d(planes, down, padding=(kernels.RADIUS, 0), groups=planes.shape[1])
+    return planes.view(len(pictures), *pictures[0].shape).unbind()
 
 
 def temporal_weights(temporal: Temporal, steps: Mapping[str, torch.Tensor]) -> Parameters:
@@ -216,30 +247,23 @@ def temporal_weights(temporal: Temporal, steps: Mapping[str, torch.Tensor]) -> P
     return {name: temporal.weight / (len(step) * step) for name, step in steps.items()}
 
 
-def codec_steps(
-    g: Gaussians, cameras: Sequence[Camera], steps: StepSettings | None = None, renderer: Renderer = CPU
-) -> Parameters:
+def codec_steps(g: Gaussians, cameras: Sequence[Camera], renderer: Renderer = CPU) -> Parameters:
     """Return a codec step for every element of the stored attributes, to first order, where the Gaussians are now.
 
     Means: the row's motion unit, by how much pictures depend on it. Quaternions: half the rotation's step, as a small
     rotation w changes a unit quaternion by w / 2. Opacity: the step of alpha over alpha's derivative by the logit,
     which is at least 0.02: near 0 and 1 a step of alpha is no finite logit.
     """
-    state = (steps or StepSettings()).delta
+    delta, alpha = StepSettings().delta, g.opacities()
+    scale = scene_scale(cameras, g.means, alpha)
     sensitivity = measure_sensitivity([g], cameras, renderer)
-    scale = scene_scale(cameras, g.means, g.opacities())
-    unit = scale * motion_units(classify_motion(sensitivity.means, g, scale))
-    alpha = g.opacities()
+    means = scale * motion_units(classify_motion(sensitivity.means, g, scale)) * delta.means
     length = np.linalg.norm(g.quaternions.astype(np.float64), axis=1, keepdims=True)
-    table = {
-        "means": np.broadcast_to((unit * state.means)[:, None], g.means.shape),
-        "quaternions": np.broadcast_to(state.quaternions / 2 * np.maximum(length, 1e-12), g.quaternions.shape),
-        "log_scales": np.full(g.log_scales.shape, state.log_scales),
-        "opacity_logits": state.opacity / np.maximum(alpha * (1 - alpha), 0.02),
-        "sh_dc": np.full(g.sh_dc.shape, state.sh_dc),
-        "sh_rest": np.full(g.sh_rest.shape, state.sh_rest),
-    }
-    return {name: torch.from_numpy(np.ascontiguousarray(table[name], np.float32)) for name in GAUSSIAN_FIELDS}
+    quaternions = delta.quaternions / 2 * np.maximum(length, 1e-12)
+    opacity = delta.opacity / np.maximum(alpha * (1 - alpha), 0.02)
+    columns = means[:, None], quaternions, delta.log_scales, opacity, delta.sh_dc, delta.sh_rest
+    shaped = {n: np.broadcast_to(c, getattr(g, n).shape) for n, c in zip(GAUSSIAN_FIELDS, columns, strict=True)}
+    return {name: torch.from_numpy(column.astype(np.float32)) for name, column in shaped.items()}
 
 
 PSNR_DEFINITION = "mean over views of the PSNR of each, in dB"

@@ -13,8 +13,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -23,9 +24,9 @@ from numpy.typing import NDArray
 from airgs_codec.errors import TrainingError
 from airgs_codec.media.image import resize
 from airgs_codec.progress import Progress, silent
+from airgs_codec.render import cuda
 from airgs_codec.render.cpu import TILE, Render
 from airgs_codec.render.cuda import AbsGrad
-from airgs_codec.render.cuda import Picture as Drawn
 from airgs_codec.scene.camera import with_pixels
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.pictures import TargetPicture, View
@@ -39,6 +40,7 @@ from airgs_codec.trainer.fit.losses import (
     render_views,
     take_and_append,
     to_gaussians,
+    uploaded,
     zeros_like,
 )
 
@@ -51,13 +53,11 @@ EPSILON = 1e-12
 class Adam:
     """Adam (Kingma and Ba 2015) over named tensors whose rows may come and go."""
 
-    def __init__(
-        self, parameters: Mapping[str, torch.Tensor], rates: Mapping[str, float], epsilon: float = EPSILON
-    ) -> None:
+    def __init__(self, parameters: Parameters, rates: Mapping[str, float], epsilon: float = EPSILON) -> None:
         """`parameters` are copied and made leaves; `rates` may be changed between steps through `self.rates`."""
         self._epsilon, self.rates, self._steps = epsilon, dict(rates), 0
         self.parameters = {name: p.detach().clone().requires_grad_(True) for name, p in parameters.items()}
-        self._first, self._second = zeros_like(parameters), zeros_like(parameters)  # moments
+        self.moments = zeros_like(parameters), zeros_like(parameters)
 
     @torch.no_grad()
     def step(self, shrink: Mapping[str, torch.Tensor] | None = None) -> None:
@@ -68,31 +68,32 @@ class Adam:
         """
         self._steps += 1
         bias = [1 - beta**self._steps for beta in BETAS]
-        for name, p in self.parameters.items():
-            if p.grad is None:
-                continue
-            first, second = self._first[name], self._second[name]
-            first.lerp_(p.grad, 1 - BETAS[0])
-            second.mul_(BETAS[1]).addcmul_(p.grad, p.grad, value=1 - BETAS[1])
-            scale = (second / bias[1]).sqrt_().add_(self._epsilon)
-            p.addcdiv_(first, scale, value=-self.rates[name] / bias[0])
-            if shrink and name in shrink:
-                threshold = self.rates[name] * shrink[name] / scale
-                p.copy_(p.sign() * (p.abs() - threshold).clamp_min(0))
+        names = [name for name, p in self.parameters.items() if p.grad is not None]
+        moved, first, second = ([of[n] for n in names] for of in (self.parameters, *self.moments))
+        gradients: list[Any] = [p.grad for p in moved]
+        rates = [self.rates[name] for name in names]
+        torch._foreach_lerp_(first, gradients, 1 - BETAS[0])
+        torch._foreach_mul_(second, BETAS[1])
+        torch._foreach_addcmul_(second, gradients, gradients, 1 - BETAS[1])
+        scale = torch._foreach_div(second, bias[1])
+        torch._foreach_sqrt_(scale)
+        torch._foreach_add_(scale, self._epsilon)
+        torch._foreach_addcdiv_(moved, first, scale, [-rate / bias[0] for rate in rates])
+        if shrink:
+            weights = [shrink[n] if n in shrink else torch.zeros_like(self.parameters[n]) for n in names]
+            threshold = torch._foreach_div(torch._foreach_mul(weights, rates), scale)
+            size = torch._foreach_clamp_min(torch._foreach_sub(torch._foreach_abs(moved), threshold), 0)
+            torch._foreach_copy_(moved, torch._foreach_mul(torch._foreach_sign(moved), size))
+        for p in moved:
             p.grad = None
 
-    def replace_values(self, name: str, values: torch.Tensor) -> None:
-        """Replace the values of a parameter; its moments start at 0 again."""
-        self.parameters[name] = values.detach().clone().requires_grad_(True)
-        for moments in (self._first, self._second):
-            moments[name] = torch.zeros_like(values)
-
-    def replace_rows(self, keep: torch.Tensor, added: Mapping[str, torch.Tensor] | None = None) -> None:
+    def replace_rows(self, keep: torch.Tensor, added: Parameters | None = None) -> None:
         """Keep the rows of a mask (N,), in order, and append new ones, whose moments start at 0."""
         rows = take_and_append({name: p.detach() for name, p in self.parameters.items()}, keep, added)
         self.parameters = {name: p.requires_grad_(True) for name, p in rows.items()}
         zeros = None if added is None else zeros_like(added)
-        self._first, self._second = (take_and_append(m, keep, zeros) for m in (self._first, self._second))
+        first, second = (take_and_append(moments, keep, zeros) for moments in self.moments)
+        self.moments = first, second
 
 
 # Adam's steps of 3DGS (Kerbl et al. 2023); of means in units of the scene's extent.
@@ -120,15 +121,6 @@ class Rates:
         return rates
 
 
-@dataclass(frozen=True, slots=True)
-class Regularisers:
-    """Weights of what is added to the loss of the pictures."""
-
-    opacity: float = 0.0  # of the mean opacity
-    scale: float = 0.0  # of the mean scale over the scene's extent
-    inflation: float = 0.0  # of the summed opacity of the rows past the first U
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Resting:
     """Rows of which only some are fitted; rows that are added come after them."""
@@ -142,10 +134,10 @@ class Resting:
     def joined(self, fitted: Parameters) -> Parameters:
         """Return all rows, from the A that are fitted and those that were added after them."""
         count = len(self.active)
-        whole = {name: value.index_copy(0, self.active, fitted[name][:count]) for name, value in self.rows.items()}
         if len(fitted["means"]) == count:
-            return whole
-        return {name: torch.cat([value, fitted[name][count:]]) for name, value in whole.items()}
+            return {name: value.index_copy(0, self.active, fitted[name]) for name, value in self.rows.items()}
+        parts = {name: (fitted[name][:count], fitted[name][count:]) for name in self.rows}
+        return {n: torch.cat([v.index_copy(0, self.active, parts[n][0]), parts[n][1]]) for n, v in self.rows.items()}
 
     def picked(self, values: torch.Tensor) -> torch.Tensor:
         """Return the values of the rows that are fitted, of a value for each row: the inverse of `joined`."""
@@ -164,7 +156,9 @@ class PerGaussian:
     temporal: Parameters | None = None  # weight of |D| of each element, `temporal_weights`; 0 in rows that are new
     until: float = 1.0  # share of the iterations in which it acts
     fixed: int = 0  # U
-    regularisers: Regularisers = field(default_factory=Regularisers)
+    opacity_weight: float = 0.0  # in the loss, of the mean opacity
+    scale_weight: float = 0.0  # of the mean scale over the scene's extent
+    inflation: float = 0.0  # weight of the summed opacity of the rows past the first U
     densifier: Densifier | None = None  # None: no rows are added
     clears: Callable[[Gaussians], NDArray[np.bool_]] | None = None  # rows (N,) that hang in open space and go
     resting: Resting | None = None  # rows that are drawn but not fitted; None: all are fitted
@@ -175,6 +169,7 @@ class PerGaussian:
     _support: Parameters | None = field(init=False, default=None)  # 1 where D may still change; None: not decided yet
     _absgrad: AbsGrad | None = field(init=False, default=None)
     _generator: torch.Generator = field(init=False)
+    _drawn: Parameters = field(init=False, default_factory=dict)  # of the last `current`, at the time of the frame
     _done: float = field(init=False, default=0.0)  # share of the iterations
 
     def __post_init__(self) -> None:
@@ -190,6 +185,7 @@ class PerGaussian:
         view between them shows no gap (DropGaussian, Park et al. 2025).
         """
         fitted = self._fitted()
+        self._drawn = dict(fitted)
         if after and MOTION in fitted:
             fitted["means"] = fitted["means"] + after * fitted[MOTION]
         elif after:
@@ -210,16 +206,17 @@ class PerGaussian:
         return self._absgrad
 
     def penalty(self) -> torch.Tensor | float:
-        """Return the regularisers; in place of L_inf = max(0, N - U), which has no gradient, acts the added opacity."""
-        r = self.regularisers
+        """Return the regularisers of what `current` gave last.
+
+        In place of L_inf = max(0, N - U), which has no gradient, acts the added opacity.
+        """
         total: torch.Tensor | float = 0.0
-        fitted = self._fitted() if r != Regularisers() else {}
-        if r.opacity:
-            total = total + r.opacity * fitted["opacity_logits"].sigmoid().mean()
-        if r.inflation and len(self.base["means"]) > self.fixed:
-            total = total + r.inflation * fitted["opacity_logits"][self.fixed :].sigmoid().sum()
-        if r.scale:
-            total = total + r.scale / self.extent * fitted["log_scales"].exp().mean()
+        if self.opacity_weight:
+            total = total + self.opacity_weight * self._drawn["opacity_logits"].sigmoid().mean()
+        if self.inflation and len(self.base["means"]) > self.fixed:
+            total = total + self.inflation * self._drawn["opacity_logits"][self.fixed :].sigmoid().sum()
+        if self.scale_weight:
+            total = total + self.scale_weight / self.extent * self._drawn["log_scales"].exp().mean()
         return total
 
     def step(self, iteration: int, iterations: int) -> None:
@@ -252,7 +249,8 @@ class PerGaussian:
             densifier.restart(len(self.base["means"]))
 
     def _fitted(self) -> Parameters:
-        return {name: p + self.adam.parameters[name] for name, p in self.base.items()}
+        changes = [self.adam.parameters[name] for name in self.base]
+        return dict(zip(self.base, torch._foreach_add(list(self.base.values()), changes), strict=True))
 
     def _move(self) -> None:
         """Adam, the temporal loss, and no Gaussian larger than the scene.
@@ -261,19 +259,16 @@ class PerGaussian:
         values are fitted without it (the relaxed lasso, Meinshausen 2007). New rows have no temporal loss.
         """
         self.adam.rates = self.rates.at(self._done, self.extent)
-        difference = self.adam.parameters
-        if self.temporal is None or self._done <= self.until:
-            self.adam.step(self.temporal)
-        else:
-            if self._support is None:
-                self._support = {n: ((difference[n] != 0) | (w == 0)).to(w.dtype) for n, w in self.temporal.items()}
-            self.adam.step()
+        difference, pulls = self.adam.parameters, self._done <= self.until
+        if self.temporal and not pulls and self._support is None:
+            self._support = {n: ((difference[n] != 0) | (w == 0)).to(w.dtype) for n, w in self.temporal.items()}
+        self.adam.step(self.temporal if pulls else None)
         with torch.no_grad():
-            for name, mask in (self._support or {}).items():
-                difference[name].mul_(mask)
+            if self._support:
+                torch._foreach_mul_([difference[name] for name in self._support], list(self._support.values()))
             # Past this size gradients of means and rotations are rounding noise.
             sizes = difference["log_scales"]
-            sizes.copy_(torch.minimum(sizes, math.log(self.extent) - self.base["log_scales"]))
+            torch.minimum(sizes, math.log(self.extent) - self.base["log_scales"], out=sizes)
 
     def _replace(self, keep: torch.Tensor, added: Parameters | None = None) -> None:
         if added is None and bool(keep.all()):
@@ -329,7 +324,9 @@ class Networks(torch.nn.Module):
         hidden = torch.relu(torch.matmul(features[None], self.first) + self.first_bias)
         hidden = torch.relu(torch.bmm(hidden, self.second) + self.second_bias)
         scales = SCALES | {"means": SCALES["means"] * self.extent}
-        return {n: (hidden[i] @ self.last[i]) * scales[n] for i, n in enumerate(self.names)}
+        outputs = [one @ last for one, last in zip(hidden.unbind(), self.last, strict=True)]
+        scaled = torch._foreach_mul(outputs, [scales[name] for name in self.names])
+        return dict(zip(self.names, scaled, strict=True))
 
     def _encode(self, p: Mapping[str, torch.Tensor]) -> torch.Tensor:
         x = p["means"] / self.extent  # five octaves of the positional encoding (NeRF, Mildenhall et al. 2020, eq. 4)
@@ -359,12 +356,16 @@ class MlpDriven:
 
     def __post_init__(self) -> None:
         self._features = self.networks.features(self.base)
-        self._adam = torch.optim.Adam(self.networks.parameters(), lr=MLP_RATES[0], betas=BETAS)
+        at_once = {"fused" if self._features.is_cuda else "foreach": True}
+        self._adam = torch.optim.Adam(self.networks.parameters(), lr=MLP_RATES[0], betas=BETAS, **at_once)
 
     def current(self, after: float = 0.0) -> Parameters:
         """Return the Gaussians moved by the networks, extrapolated linearly by `after` frames."""
         self._changes = {n: d.reshape(self.base[n].shape) for n, d in self.networks(self._features).items()}
-        return {n: p + (1 + after) * self._changes[n] if n in self._changes else p for n, p in self.base.items()}
+        changes = tuple(self._changes.values())
+        further = torch._foreach_mul(changes, 1 + after) if after else changes
+        moved = torch._foreach_add([self.base[name] for name in self._changes], further)
+        return self.base | dict(zip(self._changes, moved, strict=True))
 
     def detached(self) -> Parameters:
         with torch.no_grad():
@@ -375,7 +376,8 @@ class MlpDriven:
 
     def penalty(self) -> torch.Tensor | float:
         """Return L_temp of the changes that `current` gave last."""
-        return sum((self.temporal[name] * d.abs()).sum() for name, d in self._changes.items())
+        weights = [self.temporal[name] for name in self._changes]
+        return sum(d.sum() for d in torch._foreach_mul(torch._foreach_abs(list(self._changes.values())), weights))
 
     def step(self, iteration: int, iterations: int) -> None:
         for group in self._adam.param_groups:
@@ -405,12 +407,12 @@ class ExposureModel:
         self._offsets = torch.zeros(views, 2, 3, device=device, requires_grad=True)
         self._adam = torch.optim.Adam([self._logs, self._offsets], lr=2e-3, betas=BETAS)
 
-    def apply(self, rgb: torch.Tensor, view: int) -> torch.Tensor:
-        """Return the rendered picture (H, W, 3) as the camera of that view would have exposed it."""
+    def apply(self, rgb: torch.Tensor, views: Sequence[int]) -> torch.Tensor:
+        """Return rendered pictures (C, H, W, 3) as the cameras of those views would have exposed them."""
         if not self.differs:
             return rgb
-        side = torch.arange(rgb.shape[1], device=rgb.device) * 2 // rgb.shape[1]
-        logs, offsets = (t[view][side] for t in self._centred())
+        side = torch.arange(rgb.shape[2], device=rgb.device) * 2 // rgb.shape[2]
+        logs, offsets = (torch.stack([t[view] for view in views])[:, None, side] for t in self._centred())
         return rgb * logs.exp() + offsets
 
     def step(self) -> None:
@@ -505,22 +507,25 @@ def optimise(
     `exposure`: gains and offsets of the views' cameras, which are fitted too. Raises TrainingError when the loss is not
     finite, on CUDA up to LOOK_EVERY iterations later.
     """
-    order, losses = shuffled(len(views), rng), None
-    count, iterations = min(schedule.views, len(views)), schedule.iterations
+    with torch.no_grad():
+        place = variables.current()["means"]
+    on_device, order = cuda.by_gsplat(place), shuffled(len(views), rng)
+    losses, iterations = LossCheck(LOOK_EVERY if on_device else 1), schedule.iterations
     halved = round(schedule.coarse * iterations) if can_be_halved(views) else 0
     coarse = [halve(view) for view in views] if halved else []
+    ready = partial(uploaded, device=place.device) if on_device else list[View]
+    if not schedule.random_background:
+        views, coarse = ready(views), ready(coarse)
     for iteration in range(1, iterations + 1):
-        chosen = list(islice(order, count))
+        chosen = list(islice(order, min(schedule.views, len(views))))
         seen = [views[i] if iteration > halved else coarse[i] for i in chosen]
         if schedule.random_background:
-            seen = [view.before(tuple(rng.uniform(size=3).tolist())) for view in seen]
-        sh_degree = schedule.sh_degree(iteration / iterations)
+            seen = ready([view.before(tuple(rng.uniform(size=3).tolist())) for view in seen])
         parts = []
-        for index, view, (rgb, _) in zip(chosen, seen, drawn(variables, seen, sh_degree), strict=True):
-            shown = exposure.apply(rgb, index) if exposure else rgb
-            parts.append(photometric(shown, view.target, schedule.ssim_weight))
-        loss = (parts[0] if count == 1 else torch.stack(parts).mean()) + variables.penalty()
-        losses = losses or LossCheck(LOOK_EVERY if loss.is_cuda else 1)
+        for places, rgb in drawn(variables, seen, schedule.sh_degree(iteration / iterations)):
+            shown = exposure.apply(rgb, [chosen[place] for place in places]) if exposure else rgb
+            parts.append(photometric(shown, [seen[place].target for place in places], schedule.ssim_weight))
+        loss = (parts[0] if len(parts) == 1 else torch.cat(parts)).mean() + variables.penalty()
         losses.add(iteration, seen, loss, iteration == iterations)
         loss.backward()
         variables.step(iteration, iterations)
@@ -529,16 +534,17 @@ def optimise(
         progress(schedule.stage, iteration, iterations)
 
 
-def drawn(variables: Variables, views: Sequence[View], sh_degree: int) -> list[Drawn]:
-    """Draw the Gaussians in views, each when it was taken, with SH up to `sh_degree`."""
-    watched, times = variables.watch(), {view.after for view in views}
-    if len(times) == 1:
-        cameras, redraws = zip(*((view.camera, view.redraw) for view in views), strict=True)
-        return render_views(variables.current(*times), cameras, sh_degree, watched, redraws)
-    return [
-        render_views(variables.current(view.after), [view.camera], sh_degree, watched, [view.redraw])[0]
-        for view in views
-    ]
+def drawn(variables: Variables, views: Sequence[View], sh_degree: int) -> Iterator[tuple[list[int], torch.Tensor]]:
+    """Draw the Gaussians in views, each when it was taken, with SH up to `sh_degree`.
+
+    Yields which views are drawn at once, those of one time, size and near plane, and their pictures (C, H, W, 3).
+    """
+    watched, alike = variables.watch(), dict[tuple[float, ...], list[int]]()
+    for i, view in enumerate(views):
+        alike.setdefault((view.after, view.camera.width, view.camera.height, view.camera.near), []).append(i)
+    for (after, *_), places in alike.items():
+        cameras, redraws = zip(*((views[i].camera, views[i].redraw) for i in places), strict=True)
+        yield places, render_views(variables.current(after), cameras, sh_degree, watched, redraws)[0]
 
 
 def can_be_halved(views: Sequence[View]) -> bool:

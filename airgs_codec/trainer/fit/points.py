@@ -69,14 +69,10 @@ def from_points(
     near, _ = cKDTree(positions).query(positions, k=min(4, n))
     spacing = np.sqrt(np.square(near.reshape(n, -1)[:, 1:]).mean(axis=1)) if n > 1 else np.full(n, 0.01 * largest)
     radius = np.log(np.clip(spacing, 1e-4 * largest, largest))  # the logarithm of coincident points' 0 is -Inf
-    return Gaussians(
-        means=positions.astype(np.float32),
-        quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
-        log_scales=np.repeat(radius[:, None], 3, axis=1).astype(np.float32),
-        opacity_logits=np.full(n, math.log(opacity / (1 - opacity)), np.float32),
-        sh_dc=((colours - 0.5) / SH_C0).astype(np.float32),
-        sh_rest=np.zeros((n, SH_REST[sh_degree], 3), np.float32),
-    )
+    turns, scales = np.tile([1, 0, 0, 0], (n, 1)), np.repeat(radius[:, None], 3, axis=1)
+    logits, sh_dc = np.full(n, math.log(opacity / (1 - opacity))), (colours - 0.5) / SH_C0
+    columns = (positions, turns, scales, logits, sh_dc, np.zeros((n, SH_REST[sh_degree], 3)))
+    return Gaussians(*(column.astype(np.float32) for column in columns))
 
 
 def _with_random(points: Points, count: int, views: Sequence[View], rng: np.random.Generator) -> Points:

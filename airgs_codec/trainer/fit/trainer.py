@@ -54,7 +54,6 @@ from airgs_codec.trainer.fit.optimise import (
     Networks,
     PerGaussian,
     Rates,
-    Regularisers,
     Resting,
     Schedule,
     any_in_blocks,
@@ -65,7 +64,7 @@ from airgs_codec.trainer.settings import BUDGET, LEAST_BUDGET, MOST_BUDGET, RAND
 
 # Empty space stays empty. Against no weights +0.3 dB in held-out views of a first frame of the fox; a weight of 0.1 in
 # place of 0.03 on scales gave basketball 0.2 dB in two splits of its cameras (0.5 with their exposure matched).
-FIRST_REGULARISERS = Regularisers(opacity=0.003, scale=0.1)
+FIRST_REGULARISERS: dict[str, Any] = {"opacity_weight": 0.003, "scale_weight": 0.1}
 # Few cameras that are far apart leave much of a scene free: the points on its surfaces start opaque, and move little.
 DROPOUT = 0.2
 # More gave basketball, of 640 x 360 pixels, 0.8 dB in held-out views, and the fox, of 320 x 320, 0.2 to 0.4 for twice
@@ -75,6 +74,9 @@ HIDDEN_OPACITY = 0.02  # fainter rows are removed at the end of a fit within the
 MOVING_RATES = Rates(factor=10.0, means=0.5, last=0.1, means_last=0.1)  # of frames that start from the one before
 KEYFRAME_RATES = Rates(factor=8.0, last=0.05, means_last=0.05)  # what has appeared has far to go
 UNFORESEEN = 1.5  # times as many iterations for a frame to which its velocity does not lead
+
+
+How = tuple[Schedule, np.random.Generator, ExposureModel | None, Progress]  # arguments of `optimise`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,37 +156,27 @@ class Trainer:
         if seeds is not None:
             new = with_motion(from_gaussians(seeds, self.device), target.views)
             zeros = zeros_like(new)  # seeds start without a difference, and without a temporal loss
-            base, start, temporal = (
-                {name: torch.cat([value, added[name]]) for name, value in p.items()}
-                for p, added in ((base, new), (start, zeros), (temporal, zeros))
-            )
-        more: dict[str, Any] = {"start": start, "temporal": temporal, "until": s.temporal.until, "fixed": fixed}
-        more |= {"resting": resting, "rates": KEYFRAME_RATES, "regularisers": Regularisers(inflation=s.inflation)}
-        schedule, most = self.schedule("keyframe", s.keyframe_iterations), most - rows + fixed
-        return self.fit_growing(base, (target.views, views), most, schedule, rng, progress=progress, **more)
+            pairs = ((base, new), (start, zeros), (temporal, zeros))
+            base, start, temporal = ({n: torch.cat([v, more[n]]) for n, v in p.items()} for p, more in pairs)
+        known: dict[str, Any] = {"start": start, "temporal": temporal, "until": s.temporal.until, "fixed": fixed}
+        known |= {"resting": resting, "rates": KEYFRAME_RATES, "inflation": s.inflation}
+        how = self.schedule("keyframe", s.keyframe_iterations), rng, None, progress
+        return self.fit_growing(base, (target.views, views), most - rows + fixed, how, **known)
 
     def fit_growing(
-        self,
-        base: Parameters,
-        views: tuple[Sequence[View], Sequence[View]],
-        most: int,
-        schedule: Schedule,
-        rng: np.random.Generator,
-        exposure: ExposureModel | None = None,
-        progress: Progress = silent,
-        **more: Any,
+        self, base: Parameters, views: Sequence[Sequence[View]], most: int, how: How, **more: Any
     ) -> InMotion:
         """Fit rows to the second ones of the `views`, add others up to `most`, and remove what is hidden.
 
         Within a budget rows that hang in open space before the first ones are removed, too. `more`: of `PerGaussian`.
         """
-        every, shown = views
+        (every, shown), (schedule, rng, *_) = views, how
         within, cameras = self.settings.densify == BUDGET, [view.camera for view in every]
         growth = Growth(most) if within else growth_of_3dgs(most, min(schedule.views, len(every)))
         clears = partial(in_open_space, cameras=cameras, renderer=self.renderer) if within else None
         densifier = Densifier(growth, len(base["means"]), rng)
         variables = PerGaussian(base, self.extent, densifier=densifier, clears=clears, **more)
-        optimise(variables, shown, schedule, rng, exposure, progress)
+        optimise(variables, shown, *how)
         variables.remove_fainter(HIDDEN_OPACITY if within else LOW_OPACITY)
         return replace(to_moving(variables.detached()), cleared=variables.cleared)
 
@@ -195,7 +187,7 @@ class Trainer:
         return FitGroup(mean_psnr(g, views, self.renderer), self.steps(g, views), networks)
 
     def steps(self, g: Gaussians, views: Sequence[View]) -> Parameters:
-        steps = codec_steps(g, [v.camera for v in views], renderer=self.renderer)
+        steps = codec_steps(g, [v.camera for v in views], self.renderer)
         return {name: s.to(self.device) for name, s in steps.items()}
 
     @property
@@ -266,10 +258,10 @@ def fit_first(
     start = from_points(cloud.positions[chosen], cloud.colours[chosen], s.sh_degree, 0.6 if sparse else 0.1, largest)
     base, more = with_motion(from_gaussians(start, trainer.device), views), dict[str, Any](seed=s.seed)
     more |= {"rates": Rates(means=0.1), "dropout": DROPOUT} if sparse else {}
-    more |= {"regularisers": FIRST_REGULARISERS} if s.regularised else {}
+    more |= FIRST_REGULARISERS if s.regularised else {}
     schedule = trainer.schedule("first frame", s.iterations_from_scratch(len(views)))
     schedule = replace(schedule, sh_degree=lambda done: min(s.sh_degree, int(4 * done)))
-    found = trainer.fit_growing(base, (views, views), most, schedule, rng, exposure, progress, **more)
+    found = trainer.fit_growing(base, (views, views), most, (schedule, rng, exposure, progress), **more)
     if not (unseen and len(unseen.positions)):
         return found
     assert unseen.colours is not None
@@ -293,11 +285,7 @@ def find_active(
     of its blending weights over all views falls on moving pixels, and a tile is drawn with 8 pixels of active rows.
     """
     loaded, rows = loading(before, renderer), len(before.gaussians if isinstance(before, InMotion) else before)
-    renders: Recent[int, cpu.Render] = Recent(  # up to 1 GiB; others are drawn again
-        lambda place: loaded(views[place].after).draw(views[place].camera),
-        1 << 30,
-        lambda picture: picture.rgb.nbytes + picture.transmittance.nbytes,
-    )
+    renders = Recent[int, cpu.Render](lambda i: loaded(views[i].after).draw(views[i].camera), 1 << 30)  # bytes
     weights, on_moving, whole = [], np.zeros(rows), np.zeros(rows)
     for place, (view, mask) in enumerate(zip(views, moving, strict=True)):
         w = loaded(view.after).weights(view.camera, mask)

@@ -46,7 +46,7 @@ def test_eighty_cameras_are_never_all_in_memory():
     whole = 80 * 3840 * 2160 * 3
     assert whole > 1.8 * PICTURE_BYTES and 12 * whole > 11 * TARGET_BYTES
     scene, reads = noise(80, 384, 216)
-    taken = Pictures(scene, picture_bytes=PICTURE_BYTES // 100, target_bytes=TARGET_BYTES // 100)
+    taken = Pictures(scene, memory=(PICTURE_BYTES // 100, TARGET_BYTES // 100))
     most = 0
     for view in taken.train(0) + taken.train(0)[::-1]:
         assert moments(view.target)[0].shape == (216, 3 * 384)

@@ -36,7 +36,7 @@ def test_3dgs_adds_all_rows_above_its_threshold_and_no_others():
         densifier = grow.Densifier(grow.growth_of_3dgs(budget, pictures=1), 5, np.random.default_rng(0))
         keep, added = densifier.grow(p, extent=1.0, fixed=0, done=0.5)
         assert added is None and keep.all()  # before a gradient was seen
-        densifier.collect(cuda.AbsGrad([lambda: (gradients, gradients, torch.ones(5))]))
+        densifier.collect(cuda.AbsGrad([lambda signed: (gradients, torch.ones(5))]))
         keep, added = densifier.grow(p, extent=1.0, fixed=0, done=0.2)
         assert keep.all() and all(torch.equal(added[name], value[parents]) for name, value in p.items())
 
@@ -70,7 +70,7 @@ def test_absolute_gradients_are_largest_where_the_picture_is_wrong():
     for view in views:
         absgrad = cuda.AbsGrad()
         p = {n: t.requires_grad_() for n, t in from_gaussians(g).items()}
-        losses.photometric(losses.render(p, view.camera, 0, absgrad)[0], view.target).backward()
+        losses.photometric(losses.render_views(p, [view.camera], 0, absgrad)[0], [view.target]).backward()
         gradients, seen = absgrad.read()
         assert (gradients[seen == 0] == 0).all()
         total += gradients

@@ -14,7 +14,7 @@ from airgs_codec.trainer.fit.optimise import HIDDEN, PerGaussian
 from tests import faces
 from tests.faces import ATTRIBUTES, Adam, Gaussians, InMotion, Target, TrainingError, View, from_gaussians, open_scene
 from tests.support.scenes import random_gaussians
-from tests.support.views import coloured_cloud, moved, random_parameters, ring, views_of
+from tests.support.views import coloured_cloud, moved, random_parameters, ring, views_of, windowed_ssim
 
 
 def fit(g, shown, iterations, **more):
@@ -24,7 +24,7 @@ def fit(g, shown, iterations, **more):
 
 
 def test_a_fit_is_the_same_whatever_is_kept_in_memory(moving):
-    many, few = (faces.Pictures(open_scene(moving), picture_bytes=n, target_bytes=n) for n in (1 << 30, 1))
+    many, few = (faces.Pictures(open_scene(moving), memory=(n, n)) for n in (1 << 30, 1))
     a, b = (fit(coloured_cloud(30), pictures.train(0), 12) for pictures in (many, few))
     assert few.nbytes < 48 * 48 * (3 + 36) + 1  # one of each
     assert all(torch.equal(a[name], b[name]) for name in a)
@@ -52,8 +52,8 @@ def test_an_iteration_of_several_pictures_follows_the_mean_of_their_losses():
     g = coloured_cloud(30)
     views = views_of(moved(g, slice(0, 10), (0.1, 0, 0)), ring(3))
     together, by_hand = fit(g, views, 1, views=3), PerGaussian(from_gaussians(g), 5.0)
-    parts = [losses.render(by_hand.current(), v.camera, 0)[0] for v in views]
-    sum(losses.photometric(rgb, v.target) / 3 for rgb, v in zip(parts, views, strict=True)).backward()
+    parts = [losses.render_views(by_hand.current(), [v.camera], 0)[0] for v in views]
+    sum(losses.photometric(rgb, [v.target]) / 3 for rgb, v in zip(parts, views, strict=True)).backward()
     by_hand.step(1, 1)
     for name, value in together.items():
         torch.testing.assert_close(value, by_hand.detached()[name], atol=1e-4, rtol=1e-3)
@@ -64,7 +64,8 @@ def test_each_of_several_pictures_shows_the_time_it_was_taken_at():
     g, motion = coloured_cloud(30), np.full((30, 3), 0.1, np.float32)
     views = [replace(v, after=after) for v, after in zip(views_of(g, ring(3)), (0.0, -0.5, 0.25), strict=True)]
     pictures = optimise.drawn(PerGaussian(losses.with_motion(from_gaussians(g), views, motion), 5.0), views, 0)
-    for view, (rgb, _) in zip(views, pictures, strict=True):
+    for (place,), (rgb,) in pictures:
+        view = views[place]
         shown = losses.render(from_gaussians(InMotion(g, motion).at(view.after)), view.camera, 0)[0]
         torch.testing.assert_close(rgb, shown, atol=1e-5, rtol=0)
     assert optimise.halve(views[1]).after == -0.5
@@ -211,16 +212,6 @@ def test_shrinking_ends_at_the_minimum_of_the_l1_problem():
     assert (result[expected == 0] == 0).all()
 
 
-def test_other_values_begin_without_moments():
-    adam = Adam(random_parameters(3), RATES)
-    push(adam, 1.0)
-    before = {n: p.detach().clone() for n, p in adam.parameters.items()}
-    adam.replace_values("opacity_logits", torch.zeros(3))
-    push(adam, 0.0)
-    assert adam.parameters["opacity_logits"].tolist() == [0.0, 0.0, 0.0]
-    assert not torch.equal(adam.parameters["means"], before["means"])
-
-
 def test_rows_are_left_out_of_pictures_alone_and_the_more_the_longer_a_fit_goes_on():
     base = from_gaussians(random_gaussians(400, 1))
     variables = PerGaussian(base, 1.0, dropout=0.5)
@@ -236,31 +227,33 @@ def test_rows_are_left_out_of_pictures_alone_and_the_more_the_longer_a_fit_goes_
     assert not (variables.detached()["opacity_logits"] == HIDDEN).any()
 
 
-@pytest.mark.parametrize(("loss_of", "shape", "tolerance"), [
-    *((losses.photometric, shape, 1e-5) for shape in ((16, 16), (7, 33), (40, 5), (1, 1))),
-    (losses._on_cuda, (20, 30), 1e-4),  # on tensors of the CPU: the same arithmetic
+@pytest.mark.parametrize(("levels", "shape", "tolerance"), [
+    *((None, shape, 1e-5) for shape in ((16, 16), (7, 33), (40, 5), (1, 1))),
+    (255, (20, 30), 1e-4), (1000, (20, 30), 1e-4),  # as on CUDA, on tensors of the CPU; pictures of bytes, and finer
 ])  # fmt: skip
-def test_losses_and_their_gradients_equal_the_definition(loss_of, shape, tolerance):
-    rng = np.random.default_rng(0)
-    picture, truth = (rng.uniform(-0.1, 1.1, (*shape, 3)).astype(np.float32) for _ in range(2))
-    x, target = torch.from_numpy(picture).requires_grad_(), Target(truth)
-    fused = loss_of(x, target, 0.2)
-    fused.backward()
-    y, t = torch.from_numpy(picture).double().requires_grad_(), torch.from_numpy(truth).double()
-    similarity = losses.windowed_ssim(y, t)
-    loss = 0.8 * (y - t).abs().mean() + 0.2 * (1 - similarity)
-    loss.backward()
-    assert fused.item() == pytest.approx(loss.item(), rel=tolerance)
-    assert 1 - loss_of(x, target, 1.0).item() == pytest.approx(similarity.item(), abs=tolerance)
+def test_losses_and_their_gradients_equal_the_definition(levels, shape, tolerance, monkeypatch):
+    monkeypatch.setattr(losses.cuda, "by_gsplat", lambda _: levels is not None)
+    pictures, truths = np.random.default_rng(0).uniform(0, 1, (2, 2, *shape, 3)).astype(np.float32)
+    truths = np.rint(truths * np.float32(levels)) / np.float32(levels) if levels else truths
+    x, views = torch.from_numpy(pictures).requires_grad_(), [View(CAMERA, Target(truth)) for truth in truths]
+    targets = [view.target for view in (losses.uploaded(views, x.device) if levels else views)]
+    assert not levels or {target.dtype for target in targets} == {torch.uint8 if levels == 255 else torch.float32}
+    losses.photometric(x, targets, 0.2).mean().backward()
+    y, t = torch.from_numpy(pictures).double().requires_grad_(), torch.from_numpy(truths).double()
+    error, similar = (
+        (y - t).abs().mean(dim=(1, 2, 3)),
+        torch.stack([windowed_ssim(*pair) for pair in zip(y, t, strict=True)]),
+    )
+    (0.8 * error + 0.2 * (1 - similar)).mean().backward()
     assert (x.grad - y.grad).norm() <= tolerance * y.grad.norm()
-    there = target.on_device
-    assert loss_of(x, target, 0.0).item() == pytest.approx((y - t).abs().mean().item(), rel=tolerance)
-    assert target.on_device is there  # the picture is taken there once
+    for weight, expected in ((0.0, error), (0.2, 0.8 * error + 0.2 * (1 - similar)), (1.0, 1 - similar)):
+        found = losses.photometric(x, targets, weight)
+        torch.testing.assert_close(found.double(), expected, rtol=tolerance, atol=tolerance * (weight == 1))
 
 
 def test_equal_pictures_have_no_loss_and_black_ones_a_finite_gradient():
-    x = torch.zeros((12, 12, 3)).requires_grad_()
-    compared = losses.photometric(x, Target(np.zeros((12, 12, 3), np.float32)))
+    x = torch.zeros((1, 12, 12, 3)).requires_grad_()
+    compared = losses.photometric(x, [Target(np.zeros((12, 12, 3), np.float32))])
     compared.backward()
     assert compared.item() == pytest.approx(0, abs=1e-6)
     assert torch.isfinite(x.grad).all() and x.grad.abs().max() < 1e-6
@@ -295,7 +288,7 @@ def test_exposure_is_one_only_where_both_halves_of_pictures_ask_for_it(sides, di
     model = optimise.ExposureModel(2, "cpu", looks=60)
     for i in range(60):
         target = grey.numpy() * (gains if i % 2 else 2 - gains)
-        (model.apply(grey, i % 2) - torch.from_numpy(target)).abs().mean().backward()
+        (model.apply(grey[None], [i % 2])[0] - torch.from_numpy(target)).abs().mean().backward()
         model.step()
     assert model.differs == differs
 

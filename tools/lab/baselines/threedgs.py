@@ -96,7 +96,7 @@ class Splats:
         Raises TrainingError where no row is left.
         """
         if iteration < self.timetable.stop:
-            lengths, seen = self._absgrad.signed()
+            lengths, seen = self._absgrad.read(signed=True)
             self._sum += lengths
             self._count += seen
         self._adam.rates = self._rates.at(iteration / iterations, self._extent)
@@ -105,7 +105,8 @@ class Splats:
             if self.timetable.densifies(iteration):
                 self._densify(iteration)
             if self.timetable.resets(iteration):
-                self._adam.replace_values("opacity_logits", reset_opacity(self._adam.parameters["opacity_logits"]))
+                self._adam.parameters["opacity_logits"].copy_(reset_opacity(self._adam.parameters["opacity_logits"]))
+                torch._foreach_zero_([moments["opacity_logits"] for moments in self._adam.moments])
 
     def _restart(self) -> None:
         self._sum, self._count = torch.zeros(2, len(self._adam.parameters["means"]))

@@ -220,7 +220,7 @@ def fit_keyframe(
     points = footage.points if target.frame == 0 else None  # they are of the first frame
     g = fit_first(trainer, target, points, progress=progress).gaussians
     kept = np.sort(np.argsort(-g.opacity_logits, kind="stable")[: max(1, round((1 - settings.pruned) * len(g)))])
-    fitted = PerGaussian(from_gaussians(g.take(kept)), trainer.extent, PRUNED_RATES, regularisers=FIRST_REGULARISERS)
+    fitted = PerGaussian(from_gaussians(g.take(kept)), trainer.extent, PRUNED_RATES, **FIRST_REGULARISERS)
     schedule = _schedule(trainer, "after pruning", settings.finetune_iterations)
     optimise(fitted, target.views, schedule, _rng(settings, target.frame, 0), progress=progress)
     g = to_gaussians(fitted.detached())

@@ -31,7 +31,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.render import read_cameras
 from airgs_codec.render.backend import CPU, Loaded, open_renderer
 from airgs_codec.render.cpu import RasterInputs
-from airgs_codec.render.cuda import OnCuda, rasterize_views, upload
+from airgs_codec.render.cuda import OnCuda, rasterize, upload
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from airgs_codec.scene.sequence import open_sequence
@@ -71,8 +71,8 @@ def compare(a: Loaded, b: Loaded, camera: Camera) -> Difference:
 def _gradients(side: Loaded, camera: Camera, pull: NDArray[np.float32]) -> list[NDArray[np.float32]]:
     tensors = side.tensors if isinstance(side, OnCuda) else map(torch.from_numpy, side.inputs)
     leaves = RasterInputs(*(t.detach().clone().requires_grad_() for t in tensors))
-    rgb, _ = rasterize_views(leaves, [camera])[0]
-    return [g.cpu().numpy() for g in torch.autograd.grad((rgb * upload(pull, rgb.device)).sum(), leaves)]
+    rgb, _ = rasterize(leaves, [camera])
+    return [g.cpu().numpy() for g in torch.autograd.grad((rgb[0] * upload(pull, rgb.device)).sum(), leaves)]
 
 
 def _relative(a: NDArray[np.generic], b: NDArray[np.generic]) -> float:

@@ -44,7 +44,7 @@ Steps = Callable[[Adam], Adam]
 class Descent(Adam):
     """Gradient descent: a step is a rate times a unit times the gradient, whatever the size of the gradient."""
 
-    def __init__(self, parameters: Mapping[str, torch.Tensor], rates: Mapping[str, float], units: Mapping[str, float]):
+    def __init__(self, parameters: Parameters, rates: Mapping[str, float], units: Mapping[str, float]):
         super().__init__(parameters, rates)
         self._units = dict(units)
 
@@ -96,9 +96,8 @@ def views_of(problem: Problem) -> list[View]:
 
 
 def loss(parameters: Parameters, views: Sequence[View]) -> torch.Tensor:
-    pictures = render_views(parameters, [view.camera for view in views], 0)
-    parts = [photometric(rgb, v.target) for (rgb, _), v in zip(pictures, views, strict=True)]
-    return torch.stack(parts).mean()
+    pictures, _ = render_views(parameters, [view.camera for view in views], 0)
+    return photometric(pictures, [view.target for view in views]).mean()
 
 
 def fit(
