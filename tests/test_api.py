@@ -130,7 +130,6 @@ def test_a_frame_of_a_loader_is_drawn_in_its_workers():
 
 @pytest.fixture(scope="module")
 def public():
-    """One of everything that public functions return."""
     package, sequence = airgs.open_package(PACKAGE), airgs.open_sequence(FOX)
     frame = next(airgs.decode_frames(package, 0, 1))
     camera, log = package.cameras[0], airgs.simulate(package, "const:5")

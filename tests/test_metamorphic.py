@@ -36,7 +36,6 @@ class Scene:
         return replace(self, frames=tuple(change(g, t) for t, g in enumerate(self.frames)))
 
     def figures(self, folder):
-        """Rows, bytes of the top rung, and dB of two rungs."""
         folder.mkdir()
         for number, g in enumerate(self.frames):
             faces.write_ply(folder / self.name.format(number), g)
@@ -51,7 +50,6 @@ ORDER = np.random.default_rng(0).permutation(len(FRAMES[0]))
 
 
 def with_row(at):
-    """Another row, at a distance in each frame."""
     one = FRAMES[0].take([0])
     return lambda g, t: join_rows([g, replace(one, means=np.array([[at(t), 0, 0]], np.float32))])
 

@@ -196,7 +196,6 @@ FOX_FRAMES = [faces.read_ply(path) for path in sorted(FOX.glob("*.ply"))]  # fiv
 
 
 def in_disorder(g, seed=0):
-    """The rows in another order, and where each row went."""
     order = np.random.default_rng(seed).permutation(len(g))
     return g.take(order), np.argsort(order)
 

@@ -37,7 +37,6 @@ def ball(count=3000):
 
 
 def floor(height, count=2000):
-    """A square floor of 2 x 2 units at y = `height`."""
     x, z = np.random.default_rng(2).uniform(-1, 1, (2, count))
     return discs(np.stack([x, np.full(count, height), z], axis=1), np.tile([0.0, 1.0, 0.0], (count, 1)), 0.05)
 
@@ -131,7 +130,6 @@ def test_broken_rows_huge_numbers_and_scenes_that_cannot_be_seen_have_views():
 
 
 def tube(centre, half, count):
-    """The surface of an ellipsoid with half axes (3,)."""
     normals = directions(count, count)
     return discs(np.array(centre) + np.array(half) * normals, normals, 0.05)
 
@@ -196,7 +194,6 @@ def wall(z, *, side=3.0):
 
 
 def eye(place, focus, size=32):
-    """A camera whose pictures have y downwards."""
     return faces.look_at(np.array(place, float), np.array(focus, float), -UP, size=size, fov_y=0.6, name="c")
 
 

@@ -36,7 +36,6 @@ def put_moving(address):
 
 @pytest.fixture(scope="session")
 def package(bucket):
-    """An address with a package, which no test changes."""
     return put_moving(f"{bucket}/moving")
 
 

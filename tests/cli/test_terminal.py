@@ -147,7 +147,6 @@ def test_help_lists_few_options_and_the_rest_is_listed_by_name(name, capsys):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """The working folder: a scene, and what is in the way."""
     write_sequence(tmp_path / "scene", moving_frames(20, 1))
     for name, text in (("file", "mine"), ("empty.json", "{}"), ("zero.csv", "0,0\n1,0\n")):
         (tmp_path / name).write_text(text)

@@ -52,7 +52,6 @@ def test_extremes_that_share_a_package(degree, tmp_path):
 
 
 def quick(case):
-    """Its settings with as few rungs and pictures as do."""
     levels = {"levels": QUICK.levels} if case.settings.levels == PLAIN.levels else {}
     rungs = ONE_RUNG if case.name == LONG or len(case.settings.tiers) > len(PLAIN.tiers) else levels
     return replace(case.settings, **rungs, **({} if case.search else SEEN))

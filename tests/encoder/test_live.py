@@ -18,7 +18,6 @@ FRAMES = moving_frames(150, 8)
 
 @pytest.fixture(autouse=True)
 def no_waiting(monkeypatch):
-    """A look at the folder follows the one before at once."""
     monkeypatch.setattr(module, "LOOK_S", 0.0)
 
 

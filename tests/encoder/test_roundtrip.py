@@ -23,7 +23,6 @@ FAST = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", t
 
 
 def same(a, b):
-    """Equal but for the order in which BLAS sums colours."""
     for name in a.__slots__:
         atol = 1e-5 if name.startswith("sh") else 0
         np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=0, atol=atol)

@@ -169,12 +169,10 @@ class Clock:
         return datetime.now(zone) + timedelta(seconds=self.time() - time.time())  # type: ignore[arg-type]
 
     def module(self) -> SimpleNamespace:
-        """What stands in for the module `time`."""
         return SimpleNamespace(time=self.time, monotonic=self.time, sleep=lambda seconds: None)
 
 
 def jump(times: int, seed: int, folder: Path) -> Told:
-    """Publishers and players whose clocks jump."""
     chance, scene = random.Random(seed), scene_in(folder)
     for number in range(times):
         target, clock, wrong = folder / f"jumped{number}", Clock(chance, back=True), ""
@@ -200,7 +198,6 @@ def jump(times: int, seed: int, folder: Path) -> Told:
 
 
 def publish(scene: Path, target: Path) -> Iterator[object]:
-    """Publish a sequence group after group, as if it grew."""
     return faces.follow(faces.GrowingFolder(scene), target, SETTINGS, more=lambda count: False)
 
 

@@ -338,7 +338,6 @@ def _children() -> int:
 
 
 def _memory(name: str) -> int:
-    """Bytes of this process, as the kernel counts them."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return 1024 * next(int(line.split()[1]) for line in lines if line.startswith(name))
 

@@ -39,7 +39,6 @@ for (;;) {
 
 
 def watch_browsers(times: int, seed: int, folder: Path) -> Iterator[tuple[str, str]]:
-    """Watch all browsers that are here for so many minutes."""
     here = [browser for browser in BROWSERS if not browser.missing()]
     with ThreadPoolExecutor(len(here) or 1) as pool:
         for browser, found in zip(here, pool.map(partial(watch, minutes=times), here), strict=True):

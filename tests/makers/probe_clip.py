@@ -34,7 +34,6 @@ export const PROBE_CLIP =
 
 
 def main() -> None:
-    """Each value of luma is in a macroblock of its own."""
     picture = np.kron(np.arange(BLOCK * BLOCK).reshape(BLOCK, BLOCK), np.ones((BLOCK, BLOCK))).astype(np.uint8)
     coded = encode_gop(ClosedGop([picture], 0, 1), picture.shape, Fraction(24), CodecSettings(QP, 1.0, between=0))
     (sample,) = read_samples(coded.fragment)

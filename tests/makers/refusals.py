@@ -73,7 +73,6 @@ def in_table(*steps: mutations.Mutation) -> tuple[mutations.Mutation, ...]:
 
 
 def fragment_of(data: bytes) -> bytes:
-    """A media segment without the uuid box in front of it."""
     return b"".join(whole for kind, whole in read_boxes(data) if kind != b"uuid")
 
 

@@ -48,7 +48,6 @@ MANIFESTS = {  # and the timelines of their deltas: in the set, and in each repr
 
 
 def files_of(representation):
-    """Number, start and duration of its files, in ticks."""
     runs = representation.timeline
     return [(run.number + i, run.start + i * run.duration, run.duration) for run in runs for i in range(run.count)]
 

@@ -61,7 +61,6 @@ def store_with(before):
 
 @pytest.fixture(params=[None, OLD], ids=["new", "replaced"])
 def before(request):
-    """What is at the place before: nothing or a package."""
     return request.param
 
 

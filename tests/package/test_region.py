@@ -113,7 +113,6 @@ def test_up_is_level_in_the_pictures_of_all_places_whichever_way_they_look_down(
 
 @pytest.fixture
 def package(tmp_path):
-    """A package that does not tell which way is up."""
     return shutil.copytree(VALID / "moving", tmp_path / "moving.airgs")
 
 

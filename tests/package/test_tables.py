@@ -113,7 +113,6 @@ def test_every_reason_of_the_format_has_a_case_and_no_other():
 
 
 def is_valid(name, data):
-    """Whether the schema of a table takes its bytes."""
     schema = manifest_schema()
     part = {JSON_NAME: schema, TABLE: schema["$defs"]["group"], PAGE_TABLE: schema["$defs"]["page"]}[name]
     return jsonschema.Draft202012Validator(part).is_valid(parse_table(data))

@@ -59,7 +59,6 @@ def test_equal_content_has_one_name_and_any_change_another():
 
 
 def packed(value):
-    """The bytes of JSON that somebody made up."""
     text = json.dumps({"value": value, "sizes": []}).encode()
     return len(text).to_bytes(8, "little") + text
 

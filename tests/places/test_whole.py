@@ -122,7 +122,6 @@ def replace_package(place):
 
 
 def give_up(place):
-    """A run that cleans up and then fails."""
     with suppress(RuntimeError), faces.staged_package(faces.Folder(place)):
         raise RuntimeError
 

@@ -87,7 +87,6 @@ def test_a_group_without_its_sound_is_shown():
 
 
 def heard(samples, second):
-    """The moment of the chirp that is heard at a moment."""
     return moment(samples[round(48_000 * second) - 1024 : round(48_000 * second) + 1024])
 
 

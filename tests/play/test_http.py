@@ -154,7 +154,6 @@ TABLES = {path: gzip.decompress((PACKAGE / path).read_bytes()) for path in ("gro
 
 @pytest.fixture(scope="module")
 def other():
-    """A server that no redirect may lead to."""
     with serve({}, {"/b.bin": lambda: b"abc"}) as site:
         yield site
 

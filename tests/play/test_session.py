@@ -33,7 +33,6 @@ def segmented(m, count=3):
 
 
 def with_core(m):
-    """The last level does with the first tier."""
     return replace(m, levels=[*m.levels[:2], replace(m.levels[2], tiers=1)])
 
 

@@ -184,7 +184,6 @@ BAD = {  # name -> changes, and what the list says of it
 
 @pytest.fixture(scope="module")
 def holder(tmp_path_factory):
-    """A folder of a good package and bad ones."""
     folder, good = tmp_path_factory.mktemp("packages"), read_files(VALID / "moving")
     write_files(folder / "good", good)
     for name, (changes, _) in BAD.items():

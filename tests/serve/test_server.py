@@ -32,7 +32,6 @@ DELTA, SIZE = "delta/L0/1.m4s", 32 << 20
 
 @pytest.fixture(scope="module")
 def port():
-    """Of a server with two packages and little patience."""
     with serving(PACKAGE, VALID / "moving", patience_s=PATIENCE_S) as port:
         yield port
 

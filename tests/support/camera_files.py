@@ -25,12 +25,10 @@ def intrinsics_of(c: Camera) -> dict[str, float]:
 
 
 def to_world(c: Camera) -> np.ndarray:
-    """(4, 4) camera-to-world in OpenCV's axes."""
     return np.linalg.inv(c.world_to_camera)
 
 
 def saved(path: Path, data: Any) -> Path:
-    """`path`, with JSON or bytes written to it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if isinstance(data, bytes):
         path.write_bytes(data)

@@ -41,7 +41,6 @@ def random_rows(count: int, seed: int = 0) -> NDArray[np.void]:
 
 
 def splatv_bytes(rows: NDArray[np.void], *, cameras: tuple[object, ...] = (), **chunk: object) -> bytes:
-    """A .splatv; `chunk`: other values in its header."""
     height = -(-len(rows) * 4 // WIDTH)
     head = {"type": "splat", "size": WIDTH * height * 16, "texwidth": WIDTH, "texheight": height, "cameras": cameras}
     text = json.dumps([head | chunk]).encode()
@@ -96,7 +95,6 @@ def gaussian_set(g: Gaussians, seconds: float, sh_codes: NDArray[np.uint8] | Non
 
 
 def numbered_4dgs(frames: Sequence[tuple[Gaussians, NDArray[np.int64]]], fps: int) -> bytes:
-    """A .4dgs of states whose Gaussians have numbers (N,)."""
     seconds = len(frames) / fps
     samples = [Sample(i / fps, ids, gaussian_set(g, seconds)) for i, (g, ids) in enumerate(frames)]
     return bytes(write_sequence(samples, seconds))

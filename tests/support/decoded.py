@@ -117,7 +117,6 @@ class _Writer:
         return (picture or {}) | {"difference": difference}
 
     def _key(self, group: int, tier: int) -> Json | None:
-        """The picture of a tier; None where it has none."""
         atlas = self.package.manifest.groups[group].tiers[tier].qualities[self.rung.quality]
         shown, _ = read_keyframe(self.package, group, tier, self.rung.quality)
         return None if shown is None else self._picture(shown.luma[0], atlas, _dense(atlas, shown.luma[1]))
@@ -161,7 +160,6 @@ class _Writer:
 
 
 def _dense(atlas: Atlas, bases: escapes.Bases) -> NDArray[np.int32]:
-    """(P, N) bases in force."""
     rows = [np.zeros(atlas.rows, np.int32) if base is None else base for base in bases]
     return np.array(rows, np.int32).reshape(len(atlas.planes), atlas.rows)
 

@@ -26,7 +26,6 @@ def decode_slopes(package: Package, index: int, level: int) -> np.ndarray | None
 
 
 def digest(codes: np.ndarray) -> str:
-    """SHA-256 of codes as little-endian int32, row by row."""
     return sha256(np.ascontiguousarray(codes, "<i4").tobytes()).hexdigest()
 
 

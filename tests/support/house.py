@@ -46,7 +46,6 @@ def complaints(entries: dict[str, Size], found: dict[str, Size]) -> Iterator[str
 
 @cache
 def nodes(path: Path) -> tuple[ast.AST, ...]:
-    """All of a module, the module first."""
     return tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
 
 

@@ -33,7 +33,6 @@ def die() -> None:
 
 
 def calls(folder: Path) -> dict[str, int]:
-    """How often `square` was called for each number."""
     return {path.name.removeprefix("calls-"): len(path.read_text()) for path in Path(folder).glob("calls-*")}
 
 

@@ -15,7 +15,6 @@ from tests.faces import OPENGL_TO_OPENCV, Camera, Gaussians, render, to_bytes, w
 
 
 def matrix_of(camera: Camera) -> list[list[float]]:
-    """OpenGL camera-to-world, as transforms.json has it."""
     return (np.linalg.inv(camera.world_to_camera) @ OPENGL_TO_OPENCV).tolist()
 
 

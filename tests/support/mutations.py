@@ -41,7 +41,6 @@ def apply(files: Files, *mutations: Mutation) -> Files:
 
 
 def on_disk(folder: Path, *mutations: Mutation) -> Path:
-    """Mutate the package in `folder` where it lies."""
     before = read_files(folder)
     after = apply(before, *mutations)
     for name in before.keys() - after.keys():
@@ -74,7 +73,6 @@ def edit_tables(change: Callable[[dict[str, Any]], object], name: str = JSON_NAM
 
 
 def set_value(place: Place, value: Any, name: str = JSON_NAME) -> Mutation:
-    """Put `value` at a place of a table."""
     return edit_tables(lambda table: _parent(table, place).__setitem__(place[-1], value), name)
 
 
@@ -87,7 +85,6 @@ def parse_table(data: bytes) -> Any:
 
 
 def pack_table(name: str, table: Any) -> bytes:
-    """The bytes of a table of this name."""
     text = json.dumps(table, separators=(",", ":")).encode()
     return gzip.compress(text, 9, mtime=0) if name.endswith(".gz") else text
 

@@ -73,7 +73,6 @@ def laid_out(
 
 
 def fox(folder: Path) -> None:
-    """The embedded scene, measured, without calibration."""
     settings = EncodeSettings(calibrate="none", measure_pictures=8, preset="veryfast", threads=2)
     encode(open_sequence(FOX), folder, settings)
 
@@ -152,7 +151,6 @@ def sloped_groups() -> list[list[Gaussians]]:
 
 
 def few_rows(degree: int = 0) -> list[list[Gaussians]]:
-    """Few rows and those about 16 times 16, a group each."""
     return [moving_frames(count, 2, degree=degree) for count in (1, 2, 255, 256, 257)]
 
 

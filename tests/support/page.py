@@ -115,7 +115,6 @@ def check_luma(name: str, found: Mapping[str, list[str]]) -> None:
 
 
 def pixels_of(picture: str, width: int, height: int) -> NDArray[np.uint8]:
-    """(height, width, 3) of a picture of a page."""
     return np.frombuffer(base64.b64decode(picture), np.uint8).reshape(height, width, 4)[..., :3]
 
 

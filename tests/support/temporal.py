@@ -47,7 +47,6 @@ class TemporalRows:
 
 
 def temporal_frames(count: int = 2000, frames: int = 24, seed: int = 0) -> list[Gaussians]:
-    """A clip of `count` rows, the same in every frame."""
     rng = np.random.default_rng(seed)
     still = int(STATIC_SHARE * count)
     rows = [_room(rng, still), _dancers(rng, count - still - FLASHES), _flashes(rng, frames)]

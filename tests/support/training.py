@@ -35,7 +35,6 @@ def write_blobs(folder: Path) -> Path:
 
 
 def blobs(scene: Path, folder: Path) -> None:
-    """All frames in this process, one after another."""
     with one_thread():
         train(open_scene(scene), folder, SETTINGS)
 

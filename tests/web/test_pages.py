@@ -19,7 +19,6 @@ pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(m
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
-    """Page -> its server, and what came of a visit."""
     build_pages()
     folder, shown = tmp_path_factory.mktemp("pages"), [SHOWCASE / "fox.airgs", SHOWCASE / "head.airgs"]
     names = ["moving", "a name_" + 9 * "without_room_"]

@@ -35,7 +35,6 @@ def with_root(folder, change):
 
 
 def try_player(package, check, **query):
-    """What the page reports of a check on a package."""
     report, _ = look("player", {"package": package.files.path}, known=LOST, src="/package/", check=check, **query)
     assert (report["problems"], report["error"]) == ([], 0)  # 0: of WebGL
     return report
@@ -86,7 +85,6 @@ def test_frames_that_are_dropped_lower_the_level_unless_the_viewer_has_chosen_on
 
 
 def put_on(folder, query=""):
-    """What the page that is shipped reports of a package."""
     build_pages()
     made = {"/page/player.html": shipped_page("vr")}
     with serve({"web": WEB, "page": SHIPPED, "scene": folder}, made) as site:

@@ -44,7 +44,6 @@ def jumping_groups():
 
 
 def room_groups():
-    """A room whose mover is redder in each group."""
     frames = room_frames(600, 6, 1)
     red = np.zeros_like(frames[0].sh_dc)
     red[600:] = np.array([0.8, -0.3, 0.1], np.float32) * frames[0].sh_dc[600:, 1:2]

@@ -45,7 +45,7 @@ def test_a_stall_is_silent_and_sound_goes_on_with_the_pictures(chirping):
         told.wait(60)
         return Answer(path.read_bytes())
 
-    delayed = chirping.glob("state/*/2.m4s")
+    delayed = chirping.glob("delta/*/2.m4s")
     made = {f"/package/{path.relative_to(chirping).as_posix()}": partial(late, path) for path in delayed}
     report, asked = hear(chirping, "stall", made | {"/go": lambda: told.set() or b"gone"}, loop=0)
     assert report["waiting"]["stalled"] and report["waiting"]["loud"] == 0

@@ -16,7 +16,6 @@ OF_VALUES = values.keyframes, values.deltas, values.shown, values.region
 
 
 def write(table: Table) -> bytes:
-    """The bytes of a file: one list of cases after another."""
     parts = []
     for name, cases in table.items():
         lines = ",\n".join("  " + json.dumps(case, separators=(",", ":"), allow_nan=False) for case in cases)

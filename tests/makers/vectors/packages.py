@@ -78,7 +78,6 @@ class Tables:
 
     @property
     def firsts(self) -> list[int]:
-        """The first segment of each group."""
         return list(accumulate((len(table["segments"]) for table in self.groups), initial=0))
 
     def sidecar(self, group: int, tier: int) -> str | None:
@@ -187,7 +186,6 @@ def _frame(folder: Path, frame: int, quality: int, level: int, tiers: int) -> tu
 
 
 def _rows(t: Tables, package: Package, frame: int, quality: int, level: int, tiers: int) -> Rows:
-    """The rows of a frame, as they are shown."""
     group, segment, number = t.place(frame)
     table = t.groups[group]
     parts = [_tier(t, package, group, k, quality) for k in range(tiers) if t.sidecar(group, k)]

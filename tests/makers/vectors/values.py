@@ -129,7 +129,6 @@ def coding_of(case: Case) -> Coding:
 
 
 def unpack_transform(text: str) -> Floats:
-    """What a `colour_transform` decodes to, row by row."""
     entries = np.frombuffer(data(text), "<i2") / 32767
     return entries.reshape(math.isqrt(len(entries)), -1)
 

@@ -124,7 +124,6 @@ def interleave(index: Sequence[int]) -> int:
 
 
 def parted(code: int) -> list[int]:
-    """The index that a code interleaves."""
     return [sum(((code >> 3 * bit + axis) & 1) << bit for bit in range(21)) for axis in range(3)]
 
 

@@ -182,7 +182,6 @@ def test_a_broken_sog_is_refused(tmp_path, version, change, says):
 
 
 def edited_glb(change):
-    """A .glb of three splats whose JSON is changed."""
     glb = glb_bytes(small(3, 0))
     end = 20 + int.from_bytes(glb[12:16], "little")
     document = json.loads(glb[20:end])
@@ -197,7 +196,6 @@ def widened(content):
 
 
 def many_attributes(document):
-    """One mesh of many attributes, which many nodes show."""
     document["meshes"][0]["primitives"][0]["attributes"].update({f"_{i}": 0 for i in range(20_000)})
     document["scenes"][0]["nodes"] = [0] * 400
 

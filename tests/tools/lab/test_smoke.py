@@ -54,7 +54,6 @@ TWINS |= {f"mechanisms-{name}" for name in ("basketball", "trainer", "motion", "
 
 
 def encode(sequence, folder, settings=None, goal=None, **_):
-    """Copies packages that differ in size and likeness."""
     if goal is not None and goal.value > 99:
         raise AirgsError("out of reach")
     by_quality = {0.8: GOLDEN / "room", 1.0: GOLDEN / "fox", 1.25: VALID / "moving"}

@@ -24,7 +24,6 @@ UPRIGHT[:24, :16], UPRIGHT[:24, 16:], UPRIGHT[24:, :16] = 200, 130, 60  # every 
 
 
 def turn(path, *matrix):
-    """Give the track of an .mp4 a display matrix."""
     fixed = ([int(v * (1 << 16)) for v in (a, b, 0, c, d)] for a, b, c, d in ((1, 0, 0, 1), matrix))
     there, wanted = (struct.pack(">9i", *numbers, 0, 0, 0, 1 << 30) for numbers in fixed)
     path.write_bytes(wanted.join(path.read_bytes().rsplit(there, 1)))
