@@ -83,7 +83,7 @@ def _code_keyframe(
         if frames.stop > base.survey.until:  # the base was chosen without these frames
             survey = survey or Survey.of(frames, views, open_renderer(settings.device))
             written = survey.needed(allowed)
-            error = error_with(known, loaded, survey, written, views, settings)
+            error = error_with(known, loaded, survey, written, allowed, views.scale)
         if error is not None:
             layout = lay_out_again(loaded, frames, known, survey or base.survey, error, views, settings)
             coded = code_keyframe(layout, settings, clock, base.coded.decoded)

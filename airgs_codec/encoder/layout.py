@@ -86,9 +86,8 @@ class GroupLayout:
 
     def delta_weights(self, rows: slice | NDArray[np.intp] = slice(None)) -> NDArray[np.float64]:
         """Return (10 + C, n) what a squared step in a delta channel adds to the squared error of pictures."""
-        return channel_weights(
-            self.classes[rows], self.sensitivity.take(rows).by_attribute(), self.delta_steps, self.transform
-        )
+        sensitivity = self.sensitivity.take(rows).by_attribute()
+        return channel_weights(self.classes[rows], sensitivity, self.delta_steps, self.transform)
 
     def keyframe_weights(self) -> NDArray[np.float64]:
         """Return (7 + C, N) the same of the channels of a keyframe, which has no means."""
@@ -152,9 +151,8 @@ def lay_out(
         transform=transform,
         renderer=survey.renderer,
     )
-    return replace(
-        layout, factors=tier_factors(layout.keyframe_weights().sum(axis=0), layout.tiers, len(settings.tiers))
-    )
+    factors = tier_factors(layout.keyframe_weights().sum(axis=0), layout.tiers, len(settings.tiers))
+    return replace(layout, factors=factors)
 
 
 def lay_out_again(
@@ -184,12 +182,7 @@ def lay_out_again(
 
 
 def error_with(
-    base: GroupLayout,
-    loaded: Repaired,
-    survey: Survey,
-    written: WrittenRows,
-    views: SceneViews,
-    settings: EncodeSettings,
+    base: GroupLayout, loaded: Repaired, survey: Survey, written: WrittenRows, allowed: float | None, scale: float
 ) -> float | None:
     """Return the mean squared error of pictures of a group, of which some rows are `written`, with those of an earlier
     one.
@@ -197,18 +190,18 @@ def error_with(
     None where pictures need Gaussians that the base does not have, or need them finer: what nobody saw there has large
     motion units.
     """
-    rows, allowed, error = base.rows, settings.row_error, written.error
+    rows, error = base.rows, written.error
     if int(rows.max()) >= len(loaded.frames[0]):
         return None
     if not np.isin(written.rows, rows).all():
-        if allowed is None or not views.trusted:
+        if allowed is None:
             return None
         found = survey.pruning.with_details(WrittenRows(np.sort(rows), 0.0), allowed)
         if len(found.rows) > len(rows) or found.error > allowed**2:
             return None
         error = found.error
     here, there = (
-        _coarseness(base.classes, sensitivity, keyframe, views.scale)
+        _coarseness(base.classes, sensitivity, keyframe, scale)
         for sensitivity, keyframe in (
             (survey.sensitivity.take(rows), mean_frame(loaded.frames).take(rows)),
             (base.sensitivity, base.keyframe),

@@ -16,7 +16,6 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from airgs_codec.coding.channels import Canonical
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.encoder.views import SceneViews
 from airgs_codec.media.metrics import Difference, Picture, low_psnr, psnr
@@ -25,7 +24,7 @@ from airgs_codec.package.package import Package
 from airgs_codec.package.region import GUESSED
 from airgs_codec.package.tables import RungQuality
 from airgs_codec.render.backend import Renderer
-from airgs_codec.render.compare import View, compare, draw_frames, in_order
+from airgs_codec.render.compare import compare, draw_frames, in_order
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -55,17 +54,47 @@ def measure(
     frames = [start + int((place + 0.5) * (stop - start) / most) for place in places]
     pictures = [(frame, cameras[(segments[0] * most + i) % len(cameras)]) for i, frame in enumerate(frames)]
     top, first = rungs[0], min(most, FIRST)
-    known = {rung: range(first) for rung in rungs}
     spaces = lru_cache(2 * len(m.qualities))(partial(decode_canonical, package))
-    found = _look(package, spaces, sequence, renderer, pictures, known, Difference.of)
+
+    def decoded(rung: Rung, numbers: Sequence[int]) -> Iterator[Gaussians]:
+        level, quality = rung
+        for index, some in itertools.groupby(numbers, key=m.segment_at):
+            group, start = m.group_of(index), m.segments[index].start
+            rows = sum(tier.count for tier in m.groups[group].tiers[: m.levels[level].tiers])
+            base = spaces(group, quality).take(slice(rows))
+            yield from decode_segment(package, index, base, level, [number - start for number in some])
+
+    def look(wanted: dict[Rung, range], compared: Callable[[Picture, Picture], Difference]) -> None:
+        """Add to `found` how each rung looks in its `wanted` pictures; each original is drawn once."""
+        order = sorted({i for some in wanted.values() for i in some}, key=lambda i: pictures[i][0])
+        asked = [(i, rung) for i in order for rung, some in wanted.items() if i in some]
+        numbers = sorted({pictures[i][0] for i in order})
+        draw = draw_frames(in_order(numbers, _originals(m, sequence, numbers)), renderer)
+        originals, shown = lru_cache(maxsize=1)(lambda i: draw(*pictures[i])), {}
+        for rung, some in wanted.items():
+            of_rung = sorted({pictures[i][0] for i in some})
+            shown[rung] = draw_frames(in_order(of_rung, decoded(rung, of_rung)), renderer)
+        results = compare(
+            lambda number, _: originals(asked[number][0]),
+            lambda number, _: shown[asked[number][1]](*pictures[asked[number][0]]),
+            [(number, pictures[i][1]) for number, (i, _) in enumerate(asked)],
+            compared,
+        )
+        of = dict(zip(asked, results, strict=True))
+        for rung, some in wanted.items():
+            found[rung] += [of[i, rung] for i in some]
+
+    found: dict[Rung, list[Difference]] = {rung: [] for rung in rungs}
+    look({rung: range(first) for rung in rungs}, Difference.of)
+    known = {}
     for rung in rungs:
         spread = _standard_error(found[rung], () if rung == top else found[top])
         own = rung[1] == m.levels[rung[0]].quality  # others are what viewers have while they change
         needed = math.ceil(first * (spread / (10 ** (ERROR_DB / 10) - 1)) ** 2)
         known[rung] = range(first, max(first, min(most if own else first, needed)))
     known[top] = range(first, max(some.stop for some in known.values()))
-    for rung, others in _look(package, spaces, sequence, renderer, pictures, known, _error_of).items():
-        found[rung] += others
+    if len(known[top]):
+        look(known, _error_of)
     return Seen([m.segment_at(frame) for frame, _ in pictures[: len(found[top])]], found)
 
 
@@ -84,54 +113,9 @@ def _standard_error(differences: Sequence[Difference], top: Sequence[Difference]
     return float(np.sqrt(np.square(away).sum() / (len(errors) - 1) / len(errors)) / errors.mean())
 
 
-def _look(
-    package: Package,
-    spaces: Callable[[int, int], Canonical],
-    sequence: GaussianSequence,
-    renderer: Renderer,
-    pictures: Sequence[View],
-    wanted: dict[Rung, range],
-    compared: Callable[[Picture, Picture], Difference],
-) -> dict[Rung, list[Difference]]:
-    """Measure each rung in the `wanted` ones of the pictures; each original is drawn once."""
-    order = sorted({i for some in wanted.values() for i in some}, key=lambda i: pictures[i][0])
-    if not order:
-        return {rung: [] for rung in wanted}
-    asked = [(i, rung) for i in order for rung, some in wanted.items() if i in some]
-    numbers = sorted({pictures[i][0] for i in order})
-    draw = draw_frames(in_order(numbers, _originals(package.manifest, sequence, numbers)), renderer)
-    originals = lru_cache(maxsize=1)(lambda i: draw(*pictures[i]))
-    shown = {
-        rung: draw_frames(in_order(of_rung, _decoded(package, spaces, rung, of_rung)), renderer)
-        for rung, some in wanted.items()
-        if (of_rung := sorted({pictures[i][0] for i in some}))
-    }
-    results = compare(
-        lambda number, _: originals(asked[number][0]),
-        lambda number, _: shown[asked[number][1]](*pictures[asked[number][0]]),
-        [(number, pictures[i][1]) for number, (i, _) in enumerate(asked)],
-        compared,
-    )
-    found: dict[tuple[int, Rung], Difference] = dict(zip(asked, results, strict=True))
-    return {rung: [found[i, rung] for i in some] for rung, some in wanted.items()}
-
-
 def _originals(m: Manifest, sequence: GaussianSequence, numbers: Sequence[int]) -> Iterator[Gaussians]:
     for _, some in itertools.groupby(numbers, key=lambda number: m.group_of(m.segment_at(number))):
         yield from sequence.load(some).frames
-
-
-def _decoded(
-    package: Package, spaces: Callable[[int, int], Canonical], rung: Rung, numbers: Sequence[int]
-) -> Iterator[Gaussians]:
-    """Yield frames of a rung by their ascending numbers; `spaces` gives the canonical space of a group and quality."""
-    m, (level, quality) = package.manifest, rung
-    for index, some in itertools.groupby(numbers, key=m.segment_at):
-        group = m.group_of(index)
-        rows = sum(tier.count for tier in m.groups[group].tiers[: m.levels[level].tiers])
-        base = spaces(group, quality).take(slice(rows))
-        start = m.segments[index].start
-        yield from decode_segment(package, index, base, level, [number - start for number in some])
 
 
 def with_quality(m: Manifest, seen: Sequence[Seen], newest: bool = False) -> Manifest:

@@ -112,12 +112,12 @@ def omit_bands(frames: Frames, survey: Survey, settings: EncodeSettings) -> tupl
     if not sequence.sh_degree or price == 0:
         return sequence.sh_degree, ""
     g = sequence.load([frames.start + count // 2]).frames[0]
-    whole = draw_once(draw_still(g, survey.renderer))
+    whole, views = draw_once(draw_still(g, survey.renderer)), [(0, camera) for _, camera in survey.checks]
     bands, cost, size = g.sh_degree, 0.0, 0.0
     while bands:
         fewer = draw_still(g.with_degree(bands - 1), survey.renderer)
         band = _band_bytes(g, bands, step) / count
-        error = pooled_error(list(compare(whole, fewer, survey.checks.pictures, Picture.mse)))
+        error = pooled_error(list(compare(whole, fewer, views, Picture.mse)))
         if error > price / 2 * (size + band):
             break
         bands, cost, size = bands - 1, error, size + band
@@ -183,21 +183,21 @@ class KeyframeOmissions:
 def note_static(layout: GroupLayout, values: DeltaValues, depths: NDArray[np.uint8]) -> LeftOut | None:
     """Note how many rows are static, the error that this is expected to add, and the bytes a frame that it saves."""
     still = depths == STATIC
-    sizes, errors = _estimate_deltas(layout, values, still, np.zeros(values.channels), slice(None))
+    sizes, errors = _estimate_deltas(layout, values, still, np.zeros(values.channels))
     size = float(sizes.sum()) / values.frames
     return note_omission("updates", int(still.sum()), float(errors.sum()), size)
 
 
 def _estimate_deltas(
-    layout: GroupLayout, values: DeltaValues, rows: NDArray[np.bool_], centres: NDArray[np.float64], frames: slice
+    layout: GroupLayout, values: DeltaValues, rows: NDArray[np.bool_], centres: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """`estimate_cost` of the deltas of a mask of rows (N,) in some frames; `centres` (10 + C,) are in channel units."""
+    """`estimate_cost` of the deltas of a mask of rows (N,); `centres` (10 + C,) are in channel units."""
     steps = DELTA.steps(layout.delta_steps, layout.colours)
     sums = CostSums.of(centres / steps)
     for part in values.chunks():
         chosen = np.flatnonzero(rows[part])
         if len(chosen):
-            deltas = values.part(part, frames)[:, :, chosen] / steps[:, None]
+            deltas = values.part(part)[:, :, chosen] / steps[:, None]
             sums.add(deltas, layout.delta_weights(part)[:, chosen])
     return sums.costs()
 
@@ -223,7 +223,7 @@ class DeltaOmissions:
         if price == 0 or not len(rows):
             return np.zeros(count, bool), None
         centres = np.array([np.median(self.values.channel(c, rows)) for c in range(count)])
-        sizes, guesses = self._estimate(centres, slice(None))
+        sizes, guesses = _estimate_deltas(self.layout, self.values, self.depths != STATIC, centres)
         pictures = self.layout.pictures
         whole = draw_once(self._show(np.zeros(count, bool), centres))
 
@@ -234,9 +234,6 @@ class DeltaOmissions:
         chosen, cost = select_omissions(sizes / frames, guesses, error, price)
         saved = float(sizes[chosen].sum()) / frames
         return chosen, note_omission("delta planes", int(chosen.sum()), cost, saved)
-
-    def _estimate(self, centres: NDArray[np.float64], frames: slice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        return _estimate_deltas(self.layout, self.values, self.depths != STATIC, centres, frames)
 
     def _show(self, omitted: NDArray[np.bool_], centres: NDArray[np.float64]) -> Source:
         """Return the frames of the group, whose `omitted` channels are at their centres."""

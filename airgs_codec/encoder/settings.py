@@ -207,10 +207,8 @@ class EncodeSettings:
             (all(1e-6 <= factor <= 1e6 for factor in factors), "expected step factors of 1e-06 to 1e+06"),
             (0 < self.segment_s < math.inf, f"expected a positive segment length, got {self.segment_s}"),
             (self.group_frames >= 1, f"expected at least one frame a group, got {self.group_frames}"),
-            (
-                abs(sum(self.tiers) - 1) < 1e-9 and min(self.tiers) >= 0,
-                f"expected tiers that sum to 1, got {self.tiers}",
-            ),
+            (abs(sum(self.tiers) - 1) < 1e-9, f"expected tiers that sum to 1, got {self.tiers}"),
+            (min(self.tiers) >= 0, f"expected tiers of 0 or more, got {self.tiers}"),
             (
                 self.calibrate != "ladder" or ladder == (DEFAULT_LEVELS, DEFAULT_TIERS),
                 'levels and tiers would be replaced: expected calibrate "steps" or "none" with them',

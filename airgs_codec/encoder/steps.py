@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.analysis.importance import pooled_error
 from airgs_codec.analysis.sensitivity import CODING_VARIANCE
-from airgs_codec.coding.channels import delta_channels, keyframe_channels
+from airgs_codec.coding.channels import delta_channels
 from airgs_codec.coding.kernels import row_chunks
 from airgs_codec.coding.motion import (
     LEAVES,
@@ -282,10 +282,7 @@ def choose_shares(
 def _rank(subject: TrialGroup, frames: Sequence[Gaussians]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Rank the updates of all N Gaussians; `frames` are the canonical one and those that are ranked."""
     layout, rank = subject.layout, subject.settings.update_rank
-    channels = keyframe_channels(frames[0], layout.transform, layout.keyframe_steps, layout.grid.unit).astype(
-        np.float32
-    )
-    base = layout.canonical_space(channels, np.zeros(len(layout.codes), np.uint8))
+    base = layout.canonical_space(layout.keyframe_values().astype(np.float32), np.zeros(len(layout.codes), np.uint8))
     steps = DELTA.steps(layout.delta_steps, layout.colours)[:, None]
     score, moving = np.empty(len(layout.rows)), np.empty(len(layout.rows), bool)
     for rows in row_chunks(len(layout.rows), len(frames) * len(steps)):

@@ -5,7 +5,6 @@ N Gaussians of a group after repairs.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.analysis.importance import RowPruning, WrittenRows, importance
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
-from airgs_codec.encoder.views import Pictures, SceneViews
+from airgs_codec.encoder.views import SceneViews
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.beside import Usage
@@ -56,7 +55,7 @@ class Survey:
     usage: Usage
     sensitivity: Sensitivity
     importance: NDArray[np.float64]  # (N,) as `analysis.importance` has it
-    checks: _Pictures  # other pictures, which show what leaving Gaussians out would do
+    checks: list[tuple[Gaussians, Camera]]  # other pictures, which show what leaving Gaussians out would do
     renderer: Renderer
     errors: dict[int, float] = field(default_factory=dict)  # Gaussians left out -> error that `checks` have shown
 
@@ -67,12 +66,13 @@ class Survey:
         decide, check = views.decide(seen, len(frames.spans)), views.check(seen)
         numbers = sorted({number for number, _ in (*decide, *check)})
         loaded = dict(zip(numbers, sequence.load(numbers).frames, strict=True))
-        usage, sensitivity = measure_views(_Pictures(loaded, decide), renderer)
+        decided, checked = ([(loaded[number], camera) for number, camera in some] for some in (decide, check))
+        usage, sensitivity = measure_views(decided, renderer)
         known = [sequence.usage(*span) for span in frames.spans]
         measured = [one for one in known if one is not None and len(one.peak) == len(usage.peak)]
         usage = Usage.combined(measured, MAXIMUM) if len(measured) == len(known) else usage
         ranked = importance(list(loaded.values()), usage, sensitivity)
-        return Survey(seen.stop, usage, sensitivity, ranked, _Pictures(loaded, check), renderer)
+        return Survey(seen.stop, usage, sensitivity, ranked, checked, renderer)
 
     @property
     def pruning(self) -> RowPruning:
@@ -95,14 +95,3 @@ class Survey:
         usage = Usage.combined([self.usage, other.usage], MAXIMUM)
         sensitivity = Sensitivity.combined([self.sensitivity, other.sensitivity], MAXIMUM)
         return replace(self, usage=usage, sensitivity=sensitivity, importance=ranked, errors={})
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pictures:
-    """Pictures with the Gaussians that they show, one at a time."""
-
-    frames: dict[int, Gaussians]
-    pictures: Pictures
-
-    def __iter__(self) -> Iterator[tuple[Gaussians, Camera]]:
-        return ((self.frames[number], camera) for number, camera in self.pictures)

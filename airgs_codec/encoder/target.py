@@ -98,9 +98,7 @@ class Goal:
         if not 0 < self.value < math.inf:
             raise ConfigError(f"target: expected a positive {m.name}, got {self.value:g}")
         if self.value < m.rounding:
-            raise ConfigError(
-                f"target: expected at least {m.rounding:g} {m.unit}, to which it is rounded, got {self.value:g}"
-            )
+            raise ConfigError(f"target: expected at least {m.rounding:g} {m.unit}, its rounding, got {self.value:g}")
         if self.value > m.most:
             raise ConfigError(f"target: expected at most {m.most:g} {m.unit}{m.words}, got {self.value:g}")
 

@@ -112,10 +112,8 @@ def choose_views(
     if region is None:
         cameras, of_cameras = _cameras_of(sequence, middle, renderer)
         if cameras:
-            region, notes = (
-                region_around(training_views(cameras), middle, margin=settings.margin),
-                [*of_cameras, *notes],
-            )
+            region = region_around(training_views(cameras), middle, margin=settings.margin)
+            notes = [*of_cameras, *notes]
         else:
             looked = [sequence.read(i) for i in evenly_spaced(len(sequence), SEARCHED_FRAMES)]
             found = find_viewpoints(looked, None if world is None else up_of(world))
