@@ -206,7 +206,6 @@ def going_on(before, last):
 
 
 def alike(g):
-    """The same places, and the looks of the first row everywhere."""
     return Gaussians(g.means, *(getattr(g, name)[:1].repeat(len(g), 0) for name in g.__slots__[1:]))
 
 

@@ -35,7 +35,7 @@ def test_a_search_ends_at_its_goal_in_few_trials(goal, curve, found):
     (DELTA_E, 0.01, lambda _: 0.1, r"0\.01 ΔE is out of reach, the nearest was 0\.1 at"),  # ten times as large
     (PSNR, math.nan, None, "positive PSNR, got nan"), (DELTA_E, 0.0, None, "positive ΔE, got 0"),
     (PSNR, 200, None, "at most 100 dB, that of equal pictures, got 200"),
-    (DELTA_E, 0.001, None, "at least 0.01 ΔE, to which it is rounded, got 0.001"),
+    (DELTA_E, 0.001, None, "at least 0.01 ΔE, its rounding, got 0.001"),
     (DELTA_E, 101.0, None, "at most 100 ΔE, that of black and white, got 101"),
 ])  # fmt: skip
 def test_goals_that_cannot_be_reached_are_refused(metric, value, curve, words):

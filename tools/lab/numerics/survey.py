@@ -13,7 +13,7 @@ from itertools import cycle, islice, product
 
 import numpy as np
 
-from airgs_codec.encoder.survey import Pictures
+from airgs_codec.encoder.views import Pictures
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import draw_views
