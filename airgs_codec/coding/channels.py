@@ -178,6 +178,12 @@ def hold_undrawn(channels: Doubles, drawn: NDArray[np.bool_]) -> None:
         channels[t][:, rows] = last
 
 
+def consecutive(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
+    """Return ascending rows (n,) as a slice where they are consecutive: reading them then copies nothing."""
+    whole = len(rows) and rows[-1] - rows[0] == len(rows) - 1
+    return slice(int(rows[0]), int(rows[-1]) + 1) if whole else rows
+
+
 class DeltaApplier:
     """Adds decoded deltas to rows (n,) of one level, ascending; what all frames of a segment share is gathered once.
 
@@ -193,7 +199,7 @@ class DeltaApplier:
         before |= {"quaternions": base.quaternions, COLOUR: base.colour}
         self.before = {name: column for name, column in before.items() if name not in constant}
         without: Any = {name: before[name][:, :0] for name in constant}
-        self.level = replace(base, **without).take(kernels.consecutive(rows))
+        self.level = replace(base, **without).take(consecutive(rows))
 
     def apply(self, channels: Channels) -> Gaussians:
         """Return the frame that decoded delta channels of the n rows make of the canonical space: all N rows.
@@ -210,7 +216,7 @@ class DeltaApplier:
             if start == stop:
                 return
             some, part = _some(channels, slice(start, stop)), self.level.take(slice(start, stop))
-            changed = kernels.consecutive(self.rows[start:stop])
+            changed = consecutive(self.rows[start:stop])
             for name, column in out.items():
                 values = ATTRIBUTES[name][1](some[DELTA.slice(name)], part, self.colour_steps)
                 column[changed] = from_opacity(values) if name == "opacity" else values

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_some
-from airgs_codec.package.parse import expect
 
 UNIT = 128  # codes that a base of 1 stands for
 # Those in force, (N,) of each plane; None for a plane before its first jump.
@@ -104,11 +103,11 @@ def read_columns(reader: ColumnReader, shape: tuple[int, ...]) -> Escapes:
     Raises FormatError(bad_sidecar) when there are more jumps than samples, an index leaves the shape or a jump 31 bits.
     """
     area, count = math.prod(shape), int(reader.column(1, 0)[0])
-    expect(count <= area, reader.where, f"expected at most {area} escapes, got {count}", "bad_sidecar")
+    reader.expect(count <= area, f"expected at most {area} escapes, got {count}")
     gaps, zigzag = reader.column(count, 0), reader.column(count, 1)
     ascend = not count or (int(gaps.max()) < area and (gaps[1:] > 0).all() and int(gaps.sum()) < area)
-    expect(ascend, reader.where, "escapes are not in ascending order inside the segment", "bad_sidecar")
-    expect(int(zigzag.max(initial=0)) < 1 << 32, reader.where, "an escape jumps by more than 31 bits", "bad_sidecar")
+    reader.expect(ascend, "escapes are not in ascending order inside the segment")
+    reader.expect(int(zigzag.max(initial=0)) < 1 << 32, "an escape jumps by more than 31 bits")
     half, sign = (zigzag >> 1).astype(np.int32), (zigzag & 1).astype(np.int32)
     return Escapes(shape, np.cumsum(gaps, out=gaps), np.bitwise_xor(half, -sign, out=half))
 

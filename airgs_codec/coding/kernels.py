@@ -45,12 +45,6 @@ if hasattr(os, "register_at_fork"):  # the threads of a pool stay with the paren
     os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
-def consecutive(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
-    """Return ascending rows (n,) as a slice where they are consecutive: reading them then copies nothing."""
-    whole = len(rows) and rows[-1] - rows[0] == len(rows) - 1
-    return slice(int(rows[0]), int(rows[-1]) + 1) if whole else rows
-
-
 def to_quaternions(vectors: Floats) -> Floats:
     """Return the unit quaternions (n, 4) of rotation vectors (3, n).
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.package.parse import expect
+from airgs_codec.errors import FormatError
 
 LARGEST_NUMBER = (1 << 63) - 1
 
@@ -226,9 +226,14 @@ class ColumnReader:
         data = bytes(END_BYTES) if data is None else data
         self._end = len(data)
         self._data = data + bytes(_MOST_BYTES)  # a number may pass the end before that is seen
-        expect(len(data) >= END_BYTES, where, f"expected at least {END_BYTES} bytes, got {len(data)}", "bad_sidecar")
-        expect(not data[0], where, f"expected a first byte of 0, got {data[0]}", "bad_sidecar")
+        self.expect(len(data) >= END_BYTES, f"expected at least {END_BYTES} bytes, got {len(data)}")
+        self.expect(not data[0], f"expected a first byte of 0, got {data[0]}")
         self._state = [int.from_bytes(data[1:END_BYTES], "big"), RANGE_START, END_BYTES, len(data)]
+
+    def expect(self, fits: bool | np.bool_, words: str) -> None:
+        """Raise FormatError(bad_sidecar) in the words that are given unless something fits."""
+        if not fits:
+            raise FormatError("bad_sidecar", self.where, words)
 
     def column(self, count: int, order: int) -> NDArray[np.int64]:
         if self._absent:
@@ -240,15 +245,13 @@ class ColumnReader:
         data = np.frombuffer(self._data, np.uint8) if compiled else self._data
         (compiled or _decode)(values, chances, divisors, shares, state, data)
         self._state = list(map(int, state))
-        words = f"expected {count} more numbers, got the end of the file"
-        expect(self._state[_AT] <= self._end, self.where, words, "bad_sidecar")
+        self.expect(self._state[_AT] <= self._end, f"expected {count} more numbers, got the end of the file")
         return np.asarray(values, np.int64)
 
     def close(self) -> None:
         """Refuse data that is not used up exactly."""
         code, _, read, _ = self._state
-        whole = read == self._end and not code
-        expect(whole, self.where, f"expected the end at {read}, got {self._end} bytes", "bad_sidecar")
+        self.expect(read == self._end and not code, f"expected the end at {read}, got {self._end} bytes")
 
 
 def sum_gaps(gaps: NDArray[np.int64], low: NDArray[np.int64], bits: int) -> NDArray[np.uint64] | None:

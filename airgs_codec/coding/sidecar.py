@@ -21,7 +21,6 @@ from airgs_codec.coding.escapes import Escapes, read_columns
 from airgs_codec.coding.motion import Classes
 from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_columns, sum_gaps
 from airgs_codec.errors import FormatError, SceneError
-from airgs_codec.package.parse import expect
 from airgs_codec.package.tables import GRID_BITS, LEAST_CLASS, MOST_CLASS, MOST_WIDER, STATIC, Grid
 from airgs_codec.scene.gaussians import morton_decode, morton_encode
 
@@ -127,15 +126,14 @@ def unpack_keyframe_sidecar(
     reader = ColumnReader(data, where)
     placed = 0 if depths_only else rows
     found, least = reader.column(2, 0).tolist() if placed else (coarsest, 0)
-    expect(found == coarsest, where, f"expected coarser {coarsest}, got {found}", "bad_sidecar")
+    reader.expect(found == coarsest, f"expected coarser {coarsest}, got {found}")
     classes = LEAST_CLASS + least + reader.column(placed, 1)
     gaps, carried = reader.column(placed, 0), reader.column(rows, 1)
     wider = read_columns(reader, (1, 1, placed)).bases(0)[0] if placed else np.empty(0, np.int32)
     reader.close()
     fits = int(classes.max(initial=0)) <= MOST_CLASS and int(carried.max()) <= STATIC
-    expect(fits, where, f"expected classes up to {MOST_CLASS} and depths up to {STATIC}", "bad_sidecar")
-    fits = bool(((wider >= 0) & (wider <= MOST_WIDER)).all())
-    expect(fits, where, f"expected rows in a grid 2^0 to 2^{MOST_WIDER} times as wide", "bad_sidecar")
+    reader.expect(fits, f"expected classes up to {MOST_CLASS} and depths up to {STATIC}")
+    reader.expect(((wider >= 0) & (wider <= MOST_WIDER)).all(), f"expected grids 2^0 to 2^{MOST_WIDER} times as wide")
     depths = (carried - 1).astype(np.uint8)
     shared = KeyframeSidecar(gaps.astype(np.uint64), classes.astype(np.int16), wider.astype(np.int16), depths)
     codes = sum_gaps(gaps, 3 * cell_bits(shared.cells, grid, coarsest), 3 * GRID_BITS)
@@ -164,9 +162,8 @@ def read_detail(
     if coarser == coarsest:
         return sidecar
     found = int(reader.column(1, 0)[0])
-    expect(found == coarser, reader.where, f"expected coarser {coarser}, got {found}", "bad_sidecar")
+    reader.expect(found == coarser, f"expected coarser {coarser}, got {found}")
     detail = reader.column(len(sidecar.codes), 0)
     low, high = (3 * cell_bits(sidecar.cells, grid, r) for r in (coarser, coarsest))
-    inside = not (detail >> (high - low)).any()
-    expect(inside, reader.where, "the detail of a position leaves its cell", "bad_sidecar")
+    reader.expect(not (detail >> (high - low)).any(), "the detail of a position leaves its cell")
     return replace(sidecar, codes=sidecar.codes | (detail << low).astype(np.uint64))
