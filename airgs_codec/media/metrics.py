@@ -75,7 +75,7 @@ class Picture:
 
     @property
     def sampled(self) -> NDArray[np.float64]:
-        """The (h, w, 3) pixels whose colours are compared."""
+        """Return the (h, w, 3) pixels whose colours are compared."""
         height, width, _ = self.rgb.shape
         stride = math.ceil(math.sqrt(height * width / MOST_COLOURS))
         return self.rgb[::stride, ::stride].astype(np.float64)

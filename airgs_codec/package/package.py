@@ -41,13 +41,13 @@ class Package:
 
     @property
     def origin(self) -> Origin:
-        """What to add to positions of Gaussians and cameras for those of the scene that was encoded."""
+        """Return what to add to positions of Gaussians and cameras for those of the scene that was encoded."""
         x, y, z = self.manifest.origin or ZERO
         return x, y, z
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """What viewers see from each place of the viewing region; they begin at the first."""
+        """Return what viewers see from each place of the viewing region; they begin at the first."""
         from airgs_codec.package.region import first_views
 
         return first_views(self.manifest.region, self.manifest.world)

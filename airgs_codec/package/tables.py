@@ -248,7 +248,7 @@ class Atlas:
 
     @property
     def pages(self) -> int:
-        """How many pictures show the atlas together, each the next `height` lines."""
+        """Return how many pictures show the atlas together, each the next `height` lines."""
         return -(-self.size[1] // self.height)
 
 

@@ -73,7 +73,7 @@ class RasterInputs(NamedTuple, Generic[Array]):
 
     @property
     def sh_degree(self) -> int:
-        """The degree of the spherical harmonics, 0 to 3."""
+        """Return the degree of the spherical harmonics, 0 to 3."""
         return round(self.sh.shape[1] ** 0.5) - 1
 
 
@@ -297,7 +297,7 @@ def gradients(
 
 
 def _pair_gradients(blended: Blended, grad_rgb: Floats, grad_transmittance: Floats, statistics: bool | None) -> Floats:
-    """(M, 12) of `kernels.blend_gradient`; `statistics` is True or None, for which different kernels are compiled."""
+    """Return (M, 12) of `kernels.blend_gradient`; `statistics` True and None compile different kernels."""
     p, picture = blended.projected, blended.picture
     pairs = np.empty((len(p.slots), 12), np.float32)
     given = (picture.rgb, picture.transmittance, blended.visited, grad_rgb, grad_transmittance)

@@ -119,13 +119,13 @@ def _column(matrix, k):
 
 @njit(fastmath=FAST)
 def _row_by(a, matrix):
-    """A row vector times a matrix of three rows."""
+    """Return a row vector times a matrix of three rows."""
     return _dot(a, _column(matrix, 0)), _dot(a, _column(matrix, 1)), _dot(a, _column(matrix, 2))
 
 
 @njit(fastmath=FAST)
 def _rotation(w, x, y, z):
-    """Rows of the rotation matrix of a unit quaternion."""
+    """Return rows of the rotation matrix of a unit quaternion."""
     return (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
@@ -135,7 +135,7 @@ def _rotation(w, x, y, z):
 
 @njit
 def _lens(view, intrinsics, W, H):
-    """What every projection of a camera needs: focal lengths, bounds of u and v in which the Jacobian is taken, centre.
+    """Return what projections of a camera need: focal lengths, bounds of u and v in which the Jacobian is taken, centre.
 
     The bounds lie 15 % of the picture outside it, as in gsplat: the linearisation blows up at grazing angles.
     """
@@ -151,7 +151,7 @@ def _lens(view, intrinsics, W, H):
 
 @njit(inline="always")
 def _three(values, i):
-    """The first three numbers of a row, in float64."""
+    """Return the first three numbers of a row, in float64."""
     return float(values[i, 0]), float(values[i, 1]), float(values[i, 2])
 
 
@@ -428,7 +428,7 @@ def _start_tile(tile, tiles_x, W, H, buf):
 
 @njit(inline="always", fastmath=FAST)
 def _tile_rows(flat, i, y):
-    """Rows [a, b) of a tile with pixels of alpha >= 1/255; a <= b."""
+    """Return rows [a, b) of a tile with pixels of alpha >= 1/255; a <= b."""
     top = flat[i, 1] - f4(y) - f4(0.5)  # of the centre, in rows of the tile
     a = math.ceil(min(max(top - flat[i, 10], f4(0.0)), f4(TILE_SIDE)))
     b = math.floor(max(min(top + flat[i, 10], f4(TILE_SIDE - 1.0)), f4(-1.0))) + 1
@@ -457,7 +457,7 @@ def _blend_pixel(row, q, mx, my, hA, be, hk, t):
 
 @njit(inline="always", fastmath=FAST)
 def _all_finished(buf):
-    """Whether no pixel of a tile lets light through any more."""
+    """Return whether no pixel of a tile lets light through any more."""
     most = f4(0.0)
     for k in range(TILE_PIXELS):
         most = max(most, buf[k])
@@ -466,7 +466,7 @@ def _all_finished(buf):
 
 @njit
 def _bits(x):
-    """The bits of a float32; of numbers from 0 they are ordered as the numbers are, and their maximum vectorises."""
+    """Return the bits of a float32; from 0 on they are ordered as the numbers are, and their maximum vectorises."""
     return np.float32(x).view(np.int32)
 
 

@@ -114,12 +114,12 @@ class Camera:
 
     @property
     def position(self) -> Doubles:
-        """The centre (3,) of the camera in world units."""
+        """Return the centre (3,) of the camera in world units."""
         return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
 
     @property
     def held_out(self) -> bool:
-        """Whether nothing may be fitted to what this camera sees, so that quality can be measured on it."""
+        """Return whether nothing may be fitted to what this camera sees, so that quality can be measured on it."""
         return self.split == "test"
 
 

@@ -106,17 +106,17 @@ class GaussianSequence:
 
     @property
     def axes(self) -> Axes | None:
-        """The direction of up, where the specification of the frames' format says it."""
+        """Return the direction of up, where the specification of the frames' format says it."""
         return None if self.clip else self.format.axes
 
     @property
     def format(self) -> FrameFormat:
-        """The format of the frames, where they are no clip. Raises SceneError."""
+        """Return the format of the frames, where they are no clip. Raises SceneError."""
         return table.format_of(self.paths[0])
 
     @property
     def attribution(self) -> str:
-        """The maker of the scene: `credit`, else the text of ATTRIBUTION.txt or empty. Raises SceneError."""
+        """Return the maker of the scene: `credit`, else the text of ATTRIBUTION.txt or empty. Raises SceneError."""
         if self.credit is not None:
             return self.credit
         with _naming(self.copied):

@@ -193,7 +193,7 @@ def frame_before(model: ModelFolder, frame: int) -> InMotion:
 def _fit_next(
     capture: Capture, target: FrameViews, before: InMotion, group: FitGroup, left: range, progress: Progress
 ) -> _Fitted:
-    """A frame in the group of the one before, or a keyframe in its place where its quality falls.
+    """Return a frame in the group of the one before, or a keyframe in its place where its quality falls.
 
     Where that is no better, and the settings take only better ones, it is the frame as it moved. `left`: it, and the
     later frames of its chunk.
@@ -251,7 +251,7 @@ def _trained(capture: Capture, frame: int, fitted: _Fitted, begun: float) -> Tra
 
 
 def _given_first(capture: Capture, frames: range, progress: Progress) -> Gaussians:
-    """The Gaussians that are given of the first of some frames, without what the next ones do not show."""
+    """Return the Gaussians that are given of the first of some frames, without what the next ones do not show."""
     trainer, start = capture.trainer, frames.start
     g, views = capture.given(start), [capture.pictures.at_rest(start)[0]]
     steps, known, floor, before = trainer.steps(g, views[0]), [g], 0.0, InMotion(g)

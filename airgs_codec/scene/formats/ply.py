@@ -50,7 +50,7 @@ class Element:
 
     @property
     def row(self) -> np.dtype:
-        """The structured type of a row. Raises ValueError where it has lists."""
+        """Return the structured type of a row. Raises ValueError where it has lists."""
         types = [(name, kind) for name, kind in self.properties.items() if kind is not None]
         if len(types) < len(self.properties):
             raise ValueError(f"{self.name} rows of single values, got a list property")

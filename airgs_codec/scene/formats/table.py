@@ -164,7 +164,7 @@ class Target:
 
     @property
     def many(self) -> bool:
-        """Whether each of any number of frames gets a file of its own."""
+        """Return whether each of any number of frames gets a file of its own."""
         return self.folder and self.form is not SOG_FOLDER
 
 

@@ -91,7 +91,7 @@ def compare(scene: MultiviewScene, frames: range, progress: Progress = silent) -
 
 
 def _shared_bins(a: Camera, b: Camera) -> tuple[NDArray[np.intp], ...] | None:
-    """(H * W,) bins of pixels' angles around the baseline of two cameras, BINS where the other sees none; or None."""
+    """Return (H * W,) bins of pixels' angles around the baseline of two cameras, BINS where the other sees none."""
     along, ahead = b.position - a.position, a.world_to_camera[2, :3] + b.world_to_camera[2, :3]
     along = along / (np.linalg.norm(along) or 1.0)
     ahead = ahead - along * (ahead @ along)
@@ -114,7 +114,7 @@ def _rays(camera: Camera) -> NDArray[np.float64]:
 
 
 def _signals(pictures: ScenePictures, index: int, frames: range, bins: Mapping[Pair, NDArray[np.intp]]) -> Signals:
-    """Mean motion of the pixels in each bin, from each frame to the next."""
+    """Return mean motion of the pixels in each bin, from each frame to the next."""
     sizes = {pair: np.maximum(np.bincount(places, minlength=BINS + 1)[:BINS], 1) for pair, places in bins.items()}
     out, before = {pair: np.zeros((len(frames) - 1, BINS)) for pair in bins}, None
     for place, frame in enumerate(frames):

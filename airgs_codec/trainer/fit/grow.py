@@ -191,7 +191,7 @@ def _away_from(visible: Places, points: Places) -> Places:
 
 
 def _surface_of(hull: NDArray[np.float64], views: Sequence[View]) -> tuple[NDArray[np.float64], ...]:
-    """The points of a hull (P, 3) that at least three views see first, or two where there are fewer than six views.
+    """Return the points of a hull (P, 3) that three views see first at least, or two of fewer than six views.
 
     Gives them, their mean colours (P, 3), 0..1, and the variance of these over the views, summed over colours (P,).
     A point is seen by a view if no other lies clearly before it in its pixel. Hulls are larger than what is in them:

@@ -287,7 +287,7 @@ def _matched_mse(picture: Picture, shown: Picture) -> float:
 
 
 def _mse_after(found_in: NDArray[np.float32], used_in: NDArray[np.float32]) -> float:
-    """Mean squared error of a target and what is drawn, (2, H, W, 3), after gains and offsets of other ones."""
+    """Return mean squared error of a target and what is drawn, (2, H, W, 3), after gains and offsets of other ones."""
     errors, channels = [], (np.moveaxis(p, 3, 0).reshape(3, 2, -1) for p in (found_in, used_in))
     for (a, b), (target, drawn) in zip(*channels, strict=True):
         known = [np.stack([shown, np.ones_like(shown)], axis=1).astype(np.float64) for shown in (b, drawn)]

@@ -76,7 +76,7 @@ def from_points(
 
 
 def _with_random(points: Points, count: int, views: Sequence[View], rng: np.random.Generator) -> Points:
-    """The points and about `count` random ones, in their box or, where they are too few, before the cameras."""
+    """Return the points and about `count` random ones, in their box or, where they are too few, before the cameras."""
     cameras = [view.camera for view in views]
     centre, reach = looked_at(cameras), np.full(3, scene_extent(cameras))
     if len(points.positions) >= 50:
@@ -235,7 +235,7 @@ def sparse_cloud(
 
 
 def _covered(positions: NDArray[np.floating], cameras: Sequence[Camera]) -> float:
-    """Mean share of the pictures' parts, 20 on each side, that points (P, 3) fall into."""
+    """Return mean share of the pictures' parts, 20 on each side, that points (P, 3) fall into."""
     shares = []
     for camera in cameras:
         rows, columns, _ = project(camera, positions)
@@ -273,7 +273,7 @@ def surroundings(views: Sequence[View]) -> NDArray[np.float32]:
 
 
 def _between(cameras: Sequence[Camera], places: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(D, L) whether places (D, L, 3) are in the convex hull of the cameras; none where they stand in a plane.
+    """Return (D, L) whether places (D, L, 3) are in the convex hull of the cameras; none where they stand in a plane.
 
     Cameras count on the other side of the rig's axis as well: a room is no narrower where a rig has a gap.
     """
@@ -289,7 +289,7 @@ def _between(cameras: Sequence[Camera], places: NDArray[np.float64]) -> NDArray[
 
 
 def _disagreement(views: Sequence[View], places: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(D, L) summed differences, up to 1 each, of views at places (D, L, 3), and their number; 0 for fewer than two."""
+    """Return (D, L) summed differences, up to 1 each, of views at places (D, L, 3), and their number; 0 of one."""
     cost, pairs = np.zeros(places.shape[:2], np.float32), np.zeros(places.shape[:2], np.float32)
     pictures = [_texture(view) for view in views]
     for part in np.array_split(np.arange(len(places)), -(-len(places) // 500)):
@@ -308,7 +308,7 @@ def _disagreement(views: Sequence[View], places: Floats) -> tuple[NDArray[np.flo
 
 
 def _texture(view: View) -> NDArray[np.float32]:
-    """(H, W, C) texture of a picture of 240 pixels, whatever its contrast: light differs from elsewhere."""
+    """Return (H, W, C) texture of a picture of 240 pixels, whatever its contrast: light differs from elsewhere."""
     rgb = view.target.rgb
     scale = min(1.0, 240 / max(rgb.shape[:2]))
     small = resize(rgb, max(1, round(rgb.shape[1] * scale)), max(1, round(rgb.shape[0] * scale)))
@@ -321,7 +321,7 @@ def _texture(view: View) -> NDArray[np.float32]:
 
 
 def _decide(cost: NDArray[np.floating], near: NDArray[np.intp]) -> NDArray[np.intp]:
-    """(D,) the distance of each direction by costs (D, L) and neighbours (D, K), min-sum with damped messages."""
+    """Return (D,) the distance of each direction by costs (D, L) and neighbours (D, K): damped min-sum."""
     belief, ramp = cost.copy(), STEP * np.arange(DISTANCES)
     for _ in range(30):
         up = np.minimum.accumulate(belief - ramp, axis=1) + ramp
@@ -332,7 +332,7 @@ def _decide(cost: NDArray[np.floating], near: NDArray[np.intp]) -> NDArray[np.in
 
 
 def _on_planes(directions: Floats, inverse: Floats, weight: Floats, near: NDArray[np.intp], spread: float) -> Floats:
-    """(D,) 1 / distance on planes through neighbours (D, K); one that is `spread` off counts half."""
+    """Return (D,) 1 / distance on planes through neighbours (D, K); one that is `spread` off counts half."""
     around, values = directions[near], inverse[near]
     w = weight[near]
     for _ in range(4):

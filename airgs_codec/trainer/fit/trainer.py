@@ -205,14 +205,14 @@ class Trainer:
         return residual_seeds(before.gaussians, target.views, wrong, most, 0.1 * self.extent, rng)
 
     def _scope(self, before: InMotion, target: FrameViews, base: Parameters) -> tuple[Sequence[View], Resting | None]:
-        """The views that a fit is made to, and the rows at rest; None: it may change all."""
+        """Return the views that a fit is made to, and the rows at rest; None: it may change all."""
         if target.moving is None:
             return target.views, None
         rows, views = find_active(before, target.views, target.moving, self.renderer)
         return views, Resting(base, torch.from_numpy(rows).to(self.device))
 
     def _is_foreseen(self, before: InMotion, views: Sequence[View]) -> bool:
-        """Whether Gaussians that move on as they did show more than where they were: motions turn."""
+        """Return whether Gaussians that move on as they did show more than where they were: motions turn."""
         if before.velocity is None or not self.settings.velocity:
             return False
         on = InMotion(before.at(1.0), before.velocity)

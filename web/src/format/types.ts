@@ -70,7 +70,7 @@ export interface Canonical extends CanonicalName {
   units: Float32Array;
   /** (N) deepest level that carries a row's updates; 255: static. */
   depths: Uint8Array;
-  parts: KeyframePart[];
+  parts: KeyframePart[]; // in the order of rows
 }
 
 export interface DeltaFrame {
@@ -86,11 +86,11 @@ export interface DeltaFrame {
 
 /** N Gaussians as they are shown. */
 export interface Gaussians {
-  means: Float32Array;
+  means: Float32Array; // (3N) world units
   /** (4N) w, x, y, z, of length 1. */
   quaternions: Float32Array;
-  logScales: Float32Array;
-  alpha: Float32Array;
+  logScales: Float32Array; // (3N) ln of world units
+  alpha: Float32Array; // (N) 0 … 1
   /** (N · C) r, g, b of SH DC, then of each coefficient of SH rest. */
   colours: Float32Array;
 }
@@ -105,5 +105,5 @@ export interface Camera {
   cy: number;
   /** What is nearer than this along z is not drawn. */
   near: number;
-  worldToCamera: Float64Array;
+  worldToCamera: Float64Array; // (16) row by row
 }

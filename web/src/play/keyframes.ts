@@ -1,5 +1,5 @@
-// Camera paths: what a camera does over time, as keyframes in JSON; airgs_codec/scene/keyframes.py is the same, and says
-// what the JSON looks like. The ten values of a view are position, focus, up and fov_y, degrees.
+// Camera paths: what a camera does over time, as keyframes in JSON, which docs/browser.md shows: not those of a
+// package. The ten values of a view are position, focus, up and fov_y, degrees.
 import { makesView, minus, unit, type Vector, vector } from "../format/vector.ts";
 
 const MOST_DEGREES = 170;
@@ -20,7 +20,7 @@ export class CameraPath {
   constructor(
     /** (K) ascending from 0, seconds. */
     readonly times: Row,
-    readonly values: readonly Row[],
+    readonly values: readonly Row[], // (K, 10)
     readonly loop: boolean,
   ) {
     const last = times.length - 1;

@@ -7,7 +7,7 @@ import { CLIFF_DB, DEFAULT_BETA, EPS_DB, PSNR_CAP } from "../generated/constants
 export interface Option {
   index: number;
   sizeBytes: number;
-  quality: number;
+  quality: number; // dB
   /** Share of the best level's bytes that its level saves, 0 … 1; 0 where nothing is known of that. */
   saved: number;
 }

@@ -107,7 +107,7 @@ export interface OfferTables
 
 /** Offers of a package, whose tables grow under it; a session over a growing one begins with `first`. */
 export class Offers {
-  readonly rungs: readonly (readonly [number, number])[];
+  readonly rungs: readonly (readonly [number, number])[]; // (keyframe quality, level)
   readonly names: readonly string[];
   readonly fps: number;
   first = 0;

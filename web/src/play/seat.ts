@@ -16,7 +16,7 @@ export interface Seat {
   origin: Vector;
   /** The directions x, y and z of the room in the scene, of length 1. */
   axes: readonly [Vector, Vector, Vector];
-  metre: number;
+  metre: number; // world units
   near: number;
 }
 

@@ -54,7 +54,7 @@ interface Step {
   seconds: number;
   /** (P · R) bytes of rung r after rung p of the segment before, at place p R + r. */
   sizes: Float64Array;
-  quality: Float64Array;
+  quality: Float64Array; // (R) dB
 }
 
 /** The first of the rungs that maximise quality − changes − stalls − want of a reserve over the next segments.

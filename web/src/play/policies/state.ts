@@ -25,7 +25,7 @@ export interface PlayerState {
   requestLatencyS: number;
   /** dB of the segment before it; null: none, or it was lost. */
   shownQuality: number | null;
-  history: readonly Download[];
+  history: readonly Download[]; // oldest first
   /** Seconds of media that a second shows. */
   speed: number;
 }
