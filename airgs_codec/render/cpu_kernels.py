@@ -135,7 +135,7 @@ def _rotation(w, x, y, z):
 
 @njit
 def _lens(view, intrinsics, W, H):
-    """Return what projections of a camera need: focal lengths, bounds of u and v in which the Jacobian is taken, centre.
+    """Return what projections of a camera need: focal lengths, bounds of u and v in which J is taken, centre.
 
     The bounds lie 15 % of the picture outside it, as in gsplat: the linearisation blows up at grazing angles.
     """
