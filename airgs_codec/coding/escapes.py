@@ -28,6 +28,14 @@ def split(codes: NDArray[np.int32]) -> tuple[NDArray[np.uint8], NDArray[np.int32
 
     A base stays as long as some value serves all frames since its last jump, so that no choice needs fewer jumps.
     """
+    jumping = (codes > LIMIT).any(axis=0) | (codes < -LIMIT).any(axis=0)
+    bases = np.zeros_like(codes)
+    bases[:, jumping] = _choose_bases(codes[:, jumping])
+    return (codes - UNIT * bases + 128).astype(np.uint8), bases
+
+
+def _choose_bases(codes: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return the bases (T, n) of (T, n) codes; those of a row that has no code beyond LIMIT would be 0."""
     low, high = -((LIMIT - codes) // UNIT), (codes + LIMIT) // UNIT  # bases that serve one frame
     first = np.zeros(codes.shape, np.bool_)  # does a new base start here
     base = least = most = np.zeros(codes.shape[1:], np.int32)
@@ -42,7 +50,7 @@ def split(codes: NDArray[np.int32]) -> tuple[NDArray[np.uint8], NDArray[np.int32
     for t in range(len(codes)):
         base = np.where(first[t], np.clip(base, low[t], high[t]), base)
         bases[t] = base
-    return (codes - UNIT * bases + 128).astype(np.uint8), bases
+    return bases
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +63,8 @@ class Escapes:
 
     @staticmethod
     def of(bases: NDArray[np.int32]) -> Escapes:
+        if not bases.any():
+            return Escapes(bases.shape, np.empty(0, np.int64), np.empty(0, np.int32))
         jumps = np.diff(bases, axis=0, prepend=np.zeros_like(bases[:1])).ravel()
         index = np.flatnonzero(jumps)
         return Escapes(bases.shape, index, jumps[index])

@@ -212,6 +212,8 @@ class LevelCoder:
         centres: list[int] = []
         planes: list[int] = []
         jumps: list[list[Escapes]] = []  # of each plane in each segment that is fetched
+        rises: list[list[NDArray[np.int32]]] = []  # of each plane, slopes of each segment that has them
+        lined = [part for part in self.fetched if self._lined(part)]
         with self.file.open("wb") as file:
             for channel in range(count):
                 values, hidden = self._channel(channel)
@@ -219,20 +221,29 @@ class LevelCoder:
                 codes = self._codes(values, channel)
                 centre, varies = fit_centre(codes, gain / 2)
                 centres.append(centre)
-                if (varies or (hidden is not None and hidden.any())) and not omitted[channel]:
-                    planes.append(channel)
+                if not (varies or (hidden is not None and hidden.any())) or omitted[channel]:
+                    continue
+                planes.append(channel)
+                if lined:
+                    rises.append([self._codes(fit_slopes(values[part])[None], channel)[0, 0] for part in lined])
+                else:
                     jumps.append(self._write(file, codes - np.int32(centre), hidden))
         atlas = make_atlas(len(self.rows), centres, planes)
         error = ErrorModel.of(low, high, atlas, self.steps / gain)
         if not planes or self.fetched == list(nothing):
             return CodedLevel(replace(atlas, planes=[], plane_width=0, columns=0), error, None, nothing, nothing)
-        slopes = self._lines(atlas)
-        if any(slopes):
-            jumps, error = self._write_again(atlas, slopes, error)
+        coded = (CodedSlopes.of(np.stack(part), atlas, self.clock, self.codec) for part in zip(*rises, strict=True))
+        slopes = [next(coded) if self._lined(part) else None for part in self.fetched]
+        if lined:
+            jumps, error = self._write_rest(atlas, slopes, error)
         frames = self.values.frames
         samples = StoredSamples(self.file, len(planes), len(self.rows), frames, range(frames))
         gops = tuple(slope.gop if slope else None for slope in slopes)
         return CodedLevel(atlas, error, samples, self._packed(jumps, slopes), gops)
+
+    def _lined(self, part: slice | None) -> bool:
+        """Return whether a segment, whose frames are a part of the group, has slopes."""
+        return self.sloped and part is not None and part.stop - part.start >= LEAST_SLOPED
 
     def _channel(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.int32] | None]:
         """Return (T, n) values of a channel, and the bases that hide rows which are not drawn."""
@@ -268,21 +279,7 @@ class LevelCoder:
             for part, slope in zip(self.fetched, slopes, strict=True)
         )
 
-    def _lines(self, atlas: Atlas) -> Slopes:
-        """Return the slopes of segments of at least LEAST_SLOPED frames, where the plan has slopes."""
-        shape = len(atlas.planes), len(self.rows)
-        sloped = [
-            part if self.sloped and part and part.stop - part.start >= LEAST_SLOPED else None for part in self.fetched
-        ]
-        codes = [part and np.empty(shape, np.int32) for part in sloped]
-        for plane, channel in enumerate(atlas.planes if any(sloped) else []):
-            values = self._channel(channel)[0]
-            for part, found in zip(sloped, codes, strict=True):
-                if part is not None and found is not None:
-                    found[plane] = self._codes(fit_slopes(values[part])[None], channel)[0, 0]
-        return [None if found is None else CodedSlopes.of(found, atlas, self.clock, self.codec) for found in codes]
-
-    def _write_again(self, atlas: Atlas, slopes: Slopes, error: ErrorModel) -> tuple[list[list[Escapes]], ErrorModel]:
+    def _write_rest(self, atlas: Atlas, slopes: Slopes, error: ErrorModel) -> tuple[list[list[Escapes]], ErrorModel]:
         """Write the samples of what slopes leave; gives the jumps as `_write` does, and bounds that know the slopes."""
         jumps, largest = [], error.largest.copy()
         with self.file.open("wb") as file:

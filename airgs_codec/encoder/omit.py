@@ -74,7 +74,7 @@ class DeltaValues:
     def planes(self) -> NDArray[np.float64]:
         """Return (10 + C, T, N) values, which are read from the file where they are looked at."""
         shape = self.channels, self.frames, self.rows
-        return np.memmap(self.path, np.float64, "r", shape=shape) if self.rows else np.empty(shape)
+        return np.asarray(np.memmap(self.path, np.float64, "r", shape=shape)) if self.rows else np.empty(shape)
 
     def chunks(self) -> Iterator[slice]:
         """Return rows that may be in memory together in all frames."""
@@ -82,7 +82,8 @@ class DeltaValues:
 
     def channel(self, channel: int, rows: NDArray[np.intp] | slice) -> NDArray[np.float64]:
         """Return (T, n) values of some rows in one channel."""
-        return np.array(self.planes[channel][:, rows])
+        values = self.planes[channel]
+        return values[:, rows].copy() if isinstance(rows, slice) else values.take(rows, axis=1)
 
     def part(self, rows: slice, frames: slice = slice(None)) -> NDArray[np.float64]:
         """Return (t, 10 + C, n) values of some rows in some frames."""

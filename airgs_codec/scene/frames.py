@@ -72,6 +72,7 @@ class HeldFrames:
     def __init__(self, most: int) -> None:
         self.most = most  # bytes of all frames together
         self._frames: dict[int, Gaussians] = {}  # the most recently used is the last
+        self._bytes = 0  # of all of them
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[type[HeldFrames], tuple[int]]:
@@ -82,17 +83,25 @@ class HeldFrames:
 
     def get(self, number: int, read: Callable[[int], Gaussians]) -> Gaussians:
         with self._lock:
-            frame = self._frames.pop(number, None)
+            frame = self._take(number)
         frame = read(number) if frame is None else frame
         with self._lock:
+            self._take(number)  # another thread may have read it, too
             self._frames[number] = frame
-            while sum(held.nbytes for held in self._frames.values()) > self.most:
-                del self._frames[next(iter(self._frames))]
+            self._bytes += frame.nbytes
+            while self._bytes > self.most:
+                self._take(next(iter(self._frames)))
         return frame
 
     def clear(self) -> None:
         with self._lock:
-            self._frames.clear()
+            for number in list(self._frames):
+                self._take(number)
+
+    def _take(self, number: int) -> Gaussians | None:
+        if (frame := self._frames.pop(number, None)) is not None:
+            self._bytes -= frame.nbytes
+        return frame
 
 
 def place_rows(g: Gaussians, order: NDArray[np.integer]) -> Gaussians:
