@@ -22,22 +22,30 @@ Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Still = tuple[Gaussians, Camera]
 PRECISION = 0.01  # of the rows
+HIDDEN = 20.0  # times the errors of single rows, about, is that of all together: they hide each other
 CLOSE = 0.85  # of the squared error that is allowed: enough rows are left out
 DETAIL = 37  # times the error that is allowed: where a picture without rows differs by more, it shows something else
 WIDEST_CHANGE = 255  # steps: larger values count as this one when entropy is estimated
 
 
-def importance(frames: Sequence[Gaussians], usage: Usage, s: Sensitivity) -> NDArray[np.float64]:
-    """Return (N,) how much pictures need each row; 0: it is in no picture. Only the order of the values is meaningful.
+def removal_errors(frames: Sequence[Gaussians], s: Sensitivity) -> NDArray[np.float64]:
+    """Return (N,) the mean squared error of pictures without one row.
 
-    A picture is linear in each alpha, so alpha^2 times the squared derivative is exactly the error of leaving one row
-    out. Rows that replace each other look cheap one by one; the factors of their blending weights (max and sum) correct
-    that.
+    A picture is linear in each alpha, so that alpha^2 times the squared derivative is exactly that.
     """
     squares = np.zeros(len(frames[0]))
     for g in frames:
         squares += g.opacities().astype(np.float64) ** 2
-    return usage.peak * usage.total * s.opacity * (squares / len(frames))
+    return s.opacity * (squares / len(frames))
+
+
+def importance(errors: Values, usage: Usage) -> NDArray[np.float64]:
+    """Return (N,) how much pictures need each row, by its `removal_errors`; 0: it is in no picture.
+
+    Only the order of the values is meaningful. Rows that replace each other look cheap one by one; the factors of their
+    blending weights (max and sum) correct that.
+    """
+    return usage.peak * usage.total * errors
 
 
 def pooled_error(errors: Sequence[float]) -> float:
@@ -72,13 +80,20 @@ class RowPruning:
     """Leaves out the least important rows of some frames."""
 
     def __init__(
-        self, pictures: Iterable[Still], rank: Values, errors: dict[int, float], renderer: Renderer = CPU
+        self,
+        pictures: Iterable[Still],
+        rank: Values,
+        expected: Values,
+        errors: dict[int, float],
+        renderer: Renderer = CPU,
     ) -> None:
-        """`rank` is the (N,) `importance` of the rows; `errors` holds what has been rendered: rows left out -> error.
+        """`rank` is the (N,) `importance` of the rows, `expected` are their (N,) `removal_errors`.
 
-        Callers pass the same dictionary, at first an empty one, for the same pictures.
+        `errors` holds what has been rendered: rows left out -> error. Callers pass the same dictionary, at first an
+        empty one, for the same pictures.
         """
         self._pictures, self._renderer, self._order = pictures, renderer, np.argsort(rank, kind="stable")
+        self._expected = np.cumsum(expected[self._order])  # of leaving out so many, if they did not hide each other
         self._errors = errors
         self._errors[0] = 0.0
         self._unused = min(int(np.count_nonzero(rank == 0)), len(rank) - 1)
@@ -111,15 +126,21 @@ class RowPruning:
         return WrittenRows(np.sort(self._order[low:]), known[low])
 
     def _guess(self, errors: Mapping[int, float], middle: int, error: float) -> int:
-        """Return the count of an error, by interpolating the two nearest known ones in logarithms, or `middle`."""
-        unused = self._unused
-        known = {count - unused: math.log(e / error) for count, e in errors.items() if count > unused and e > 0}
-        a, b = sorted(known, key=lambda count: abs(known[count]))[:2] if len(known) > 1 else (0, 0)
-        if a == b or known[a] == known[b]:
+        """Return the count of an error, by the expected ones as the two nearest known errors correct them, or `middle`.
+
+        In logarithms; HIDDEN times the expected errors where none is known, and in proportion where one is.
+        """
+        known = [
+            (math.log(self._expected[count - 1]), math.log(found / error))
+            for count, found in errors.items()
+            if found > 0 and self._expected[count - 1] > 0 and count < len(self._order) - 1  # tells nothing of fewer
+        ]
+        (x, y), *others = sorted(known, key=lambda one: abs(one[1]))[:2] or [(math.log(error / HIDDEN), 0.0)]
+        slope = (others[0][1] - y) / (others[0][0] - x) if others and others[0][0] != x else 1.0
+        if slope <= 0:
             return middle
-        share = known[a] / (known[a] - known[b])
-        most = len(self._order) - unused
-        return unused + round(math.exp(min(math.log(a) + share * math.log(b / a), math.log(most))))
+        most = math.log(self._expected[-1]) if self._expected[-1] > 0 else 0.0
+        return 1 + int(np.searchsorted(self._expected, math.exp(min(x - y / slope, most))))
 
     def with_details(self, written: WrittenRows, allowed: float) -> WrittenRows:
         """Add those of the rows left out `within` an error that matter where pictures without them are plainly wrong.

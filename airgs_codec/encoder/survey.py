@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.analysis.importance import RowPruning, WrittenRows, importance
+from airgs_codec.analysis.importance import RowPruning, WrittenRows, importance, removal_errors
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
 from airgs_codec.encoder.views import SceneViews
 from airgs_codec.render import Camera
@@ -55,6 +55,7 @@ class Survey:
     usage: Usage
     sensitivity: Sensitivity
     importance: NDArray[np.float64]  # (N,) as `analysis.importance` has it
+    expected: NDArray[np.float64]  # (N,) `removal_errors`
     checks: list[tuple[Gaussians, Camera]]  # other pictures, which show what leaving Gaussians out would do
     renderer: Renderer
     errors: dict[int, float] = field(default_factory=dict)  # Gaussians left out -> error that `checks` have shown
@@ -71,12 +72,12 @@ class Survey:
         known = [sequence.usage(*span) for span in frames.spans]
         measured = [one for one in known if one is not None and len(one.peak) == len(usage.peak)]
         usage = Usage.combined(measured, MAXIMUM) if len(measured) == len(known) else usage
-        ranked = importance(list(loaded.values()), usage, sensitivity)
-        return Survey(seen.stop, usage, sensitivity, ranked, checked, renderer)
+        expected = removal_errors(list(loaded.values()), sensitivity)
+        return Survey(seen.stop, usage, sensitivity, importance(expected, usage), expected, checked, renderer)
 
     @property
     def pruning(self) -> RowPruning:
-        return RowPruning(self.checks, self.importance, self.errors, self.renderer)
+        return RowPruning(self.checks, self.importance, self.expected, self.errors, self.renderer)
 
     def score(self, name: str) -> NDArray[np.float64]:
         """Return (N,) one of `beside.MEASURES`: what ranks Gaussians for keyframe tiers."""
@@ -91,7 +92,7 @@ class Survey:
 
     def joined(self, other: Survey) -> Survey:
         """Give each Gaussian the most that either survey says of it."""
-        ranked = np.maximum(self.importance, other.importance)
+        ranked, expected = (np.maximum(getattr(self, of), getattr(other, of)) for of in ("importance", "expected"))
         usage = Usage.combined([self.usage, other.usage], MAXIMUM)
         sensitivity = Sensitivity.combined([self.sensitivity, other.sensitivity], MAXIMUM)
-        return replace(self, usage=usage, sensitivity=sensitivity, importance=ranked, errors={})
+        return replace(self, usage=usage, sensitivity=sensitivity, importance=ranked, expected=expected, errors={})

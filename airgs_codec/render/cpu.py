@@ -210,10 +210,9 @@ class Loaded:
 
     def contribution(self, camera: Camera) -> Contribution:
         """Measure how much each Gaussian gives to what `camera` sees."""
-        p = project(self.inputs, camera)
-        pairs = np.empty((len(p.slots), 3), np.float32)
-        _draw(p, camera.background, pairs=pairs)
-        return _contribution(p, pairs)
+        blended, shape = blend(self.inputs, camera, camera.background), (camera.height, camera.width)
+        pairs = _pair_gradients(blended, np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), True)
+        return _contribution(blended.projected, pairs[:, 9:])
 
     def contribution_and_gradients(self, camera: Camera, pull: Floats) -> tuple[Contribution, RasterInputs[Floats]]:
         """Return the contribution and the derivatives by the inputs of sum(picture * pull), pull (H, W, 3)."""
@@ -230,7 +229,7 @@ class Loaded:
         blended = blend(self.inputs, camera, camera.background)
         asked = np.zeros((*mask.shape, 3), np.float32)
         asked[..., 0], asked[..., 1] = 1.0, mask
-        pairs = _pair_gradients(blended, asked, np.zeros(mask.shape, np.float32), None)
+        pairs = _pair_gradients(blended, asked, np.zeros(mask.shape, np.float32), True)  # as others: one kernel less
         p = blended.projected
         of_pair = np.repeat(np.arange(len(p.start) - 1, dtype=np.int32), np.diff(p.start))
         return Weights(blended.picture, p.shape[::-1], p.ids, of_pair, pairs[:, 0].copy(), pairs[:, 1].copy())
@@ -257,19 +256,14 @@ def project(inputs: RasterInputs[Floats], camera: Camera, tiles: NDArray[np.bool
     return Projected(size, shape, flat, start, ids, drawn, order, first_pair, slots)
 
 
-def _draw(
-    p: Projected, background: Background, before: Render | None = None, pairs: Floats | None = None
-) -> tuple[Render, Ints]:
-    """Return the picture, and (tiles,) how many pairs of each tile were visited.
-
-    `before`: what is not drawn shows this. `pairs` (M, 3): takes the statistics of `kernels.blend`, not the picture.
-    """
+def _draw(p: Projected, background: Background, before: Render | None = None) -> tuple[Render, Ints]:
+    """Return the picture, and (tiles,) how many pairs of each tile were visited; what is not drawn shows `before`."""
     width, height = p.size
     rgb = np.empty((height, width, 3), np.float32) if before is None else before.rgb.copy()
     transmittance = np.empty((height, width), np.float32) if before is None else before.transmittance.copy()
     visited = np.empty(len(p.start) - 1, np.int32)
     with _LOCK:
-        kernels.blend(p.tiles(), np.asarray(background, np.float32), rgb, transmittance, visited, pairs)
+        kernels.blend(p.tiles(), np.asarray(background, np.float32), rgb, transmittance, visited)
     return Render(rgb, transmittance), visited
 
 

@@ -477,12 +477,10 @@ def _from_bits(x):
 
 
 @njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
-def blend(tiles, background, rgb, transmittance, blended, statistics):
+def blend(tiles, background, rgb, transmittance, blended):
     """Blend the tiles of `tile_order`: rgb (H, W, 3), transmittance (H, W), blended (tiles,) pairs visited.
 
-    With `statistics` (M, 3), not None, no picture is written, but per pair the sum and the maximum of its blending
-    weight alpha T, and pixels blended; it is compiled apart. The pixels of all rows that a Gaussian touches are one
-    loop without branches, which compiles to vectors.
+    The pixels of all rows that a Gaussian touches are one loop without branches, which compiles to vectors.
     """
     flat, tile_start, ids, tile_order, tiles_x, _ = tiles
     H, W = transmittance.shape
@@ -497,29 +495,17 @@ def blend(tiles, background, rgb, transmittance, blended, statistics):
             mx, my, A, be, ka, t = _ellipse(flat, i)
             hA, hk = f4(0.5) * A, f4(0.5) * ka
             r, g, bl = flat[i, 6], flat[i, 7], flat[i, 8]
-            total = hits = f4(0.0)
-            peak = np.int32(0)
             ya, yb = _tile_rows(flat, i, y)
             row = buf[ya * TILE_SIDE :]
             for q in range((yb - ya) * TILE_SIDE):
                 _, _, _, _, _, w = _blend_pixel(row, q, mx, my, hA, be, hk, t)
-                if statistics is None:
-                    row[3 * TILE_PIXELS + q] += w * r
-                    row[4 * TILE_PIXELS + q] += w * g
-                    row[5 * TILE_PIXELS + q] += w * bl
-                else:
-                    total += w
-                    peak = max(peak, _bits(w))
-                    hits += f4(1.0) if w > f4(0.0) else f4(0.0)
-            if statistics is not None:
-                _put(statistics, j, (total, _from_bits(peak), hits))
+                row[3 * TILE_PIXELS + q] += w * r
+                row[4 * TILE_PIXELS + q] += w * g
+                row[5 * TILE_PIXELS + q] += w * bl
             if (j - a) % 8 == 7 and _all_finished(buf):
                 visited = j - a + 1
                 break
         blended[tile] = visited
-        if statistics is not None:
-            statistics[a + visited : tile_start[tile + 1]] = f4(0.0)
-            continue
         for yy in range(hh):
             for xx in range(ww):
                 o = yy * TILE_SIDE + xx
@@ -535,7 +521,8 @@ def blend_gradient(tiles, rgb, transmittance, blended, grad_rgb, grad_transmitta
 
     S, what lies behind a pixel, starts as the finished sum and loses each pair's part: no division chain by
     1 - alpha. grad_transmittance: dL / d(final transmittance), background excluded. With `statistics` True, not None,
-    columns 9 to 11 of a pair are those of `blend`; it is compiled apart.
+    columns 9 to 11 of a pair are the sum and the maximum of its blending weight alpha T, and the pixels where it is
+    blended; it is compiled apart.
     """
     flat, tile_start, ids, tile_order, tiles_x, _ = tiles
     H, W = transmittance.shape
