@@ -174,9 +174,5 @@ def listed(names: Sequence[str], most: int = 6) -> str:
 
 def require_matplotlib(wanted: str) -> None:
     """Raise ConfigError unless matplotlib is installed; `wanted` names what needs it, such as an option."""
-    try:
-        missing = importlib.util.find_spec("matplotlib") is None
-    except ValueError:  # colour-science puts a stand-in without a spec in its place where it is not installed
-        missing = True
-    if missing:
+    if importlib.util.find_spec("matplotlib") is None:
         raise ConfigError(f"{wanted} needs matplotlib: pip install 'airgs-codec[plot]'")

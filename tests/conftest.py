@@ -41,7 +41,7 @@ def compiled(made_once):
     def compile_all(folder):
         scene, model = write_blobs(folder / "scene"), folder / "model"
         train = f"{scene} -o {model} --iterations 2,2,2 --frames 0:2 --sync off --device cpu"
-        encode = f"{model} -o {folder}/package --preset quick --measure-pictures 1"
+        encode = f"{model} -o {folder}/package --preset fast --measure-pictures 1"
         for command, words in (("train", train), ("encode", encode)):
             code = f"import sys; from airgs_codec.cli.{command} import main; sys.exit(main(sys.argv[1:]))"
             subprocess.run([sys.executable, "-c", code, *words.split()], check=True, capture_output=True)

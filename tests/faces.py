@@ -35,7 +35,7 @@ from airgs_codec.analysis.rows import Restored, first_look, restore_rows
 from airgs_codec.analysis.grouping import closed_groups, plan_groups
 from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.analysis.region import region_around
-from airgs_codec.encoder.settings import INTER, INTRA, EncodeSettings, LevelSettings, as_in_paper, as_preview
+from airgs_codec.encoder.settings import INTER, INTRA, EncodeSettings, LevelSettings, as_in_paper, as_fast
 from airgs_codec.encoder.survey import Frames, Survey
 from airgs_codec.encoder.layout import GroupLayout, lay_out
 from airgs_codec.encoder.views import SceneViews, choose_views
@@ -93,7 +93,7 @@ from airgs_codec.decoder.decode import (
 from airgs_codec.render import render
 from airgs_codec.render.cpu import RasterInputs, Redraw, one_thread
 from airgs_codec.render.backend import CPU
-from airgs_codec.media.metrics import Difference, PSNR_CAP, Picture, Quality, delta_e_metric, mse, pool, psnr
+from airgs_codec.media.metrics import Difference, PSNR_CAP, Picture, Quality, delta_e, delta_e_metric, mse, pool, psnr
 
 # Training
 from airgs_codec.trainer import train

@@ -11,7 +11,7 @@ from tests.faces import EncodeSettings, Gaussians, join_rows, mix_rows, placed
 from tests.support.camera_files import FORMS
 from tests.support.scenes import moving_frames
 
-SETTINGS = replace(faces.as_preview(EncodeSettings()), threads=1)
+SETTINGS = replace(faces.as_fast(EncodeSettings()), threads=1)
 FRAMES = moving_frames(300, 2)
 RIG = faces.orbit_views(FRAMES[0], count=3, size=48)
 UTM = np.array([448262.0, 5411932.0, 113.0])

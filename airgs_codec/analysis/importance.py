@@ -118,10 +118,10 @@ class RowPruning:
             high = min((count for count in known if count > low), default=low)
             if high - low <= least or known[low] >= CLOSE * most > 0:
                 break
-            middle, near = (low + high) // 2, min(least, (high - low) // 2)
+            count, near = (low + high) // 2, min(least, (high - low) // 2)
             if guesses < 6 and most > 0:
-                middle = self._guess(known, middle, (1 + CLOSE) / 2 * most)
-            count = min(max(middle, low + near), high - near)
+                guess = self._guess(known, count, (1 + CLOSE) / 2 * most)
+                count = guess if low + near <= guess <= high - near else count
             known[count] = self.error_of(rows - count)
         return WrittenRows(np.sort(self._order[low:]), known[low])
 

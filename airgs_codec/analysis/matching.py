@@ -52,14 +52,15 @@ def compare_order(a: Gaussians, b: Gaussians) -> str:
     """Return whether rows of two frames of one length are IN_ORDER, LOST or UNRELATED.
 
     They are in order where nearly every row differs far less from row n of the other frame than from others; lost where
-    many surely are another row of it; unrelated where most differ as much as any two rows do.
+    many surely are another row of it; unrelated where most differ as much as any two rows do. Some rows tell it.
     """
-    first, second = attributes(a), attributes(b)
-    own, others = (np.linalg.norm(second - rows, axis=1) for rows in (first, first[_unrelated(len(a))]))
+    some = _some(len(a))
+    first, second = attributes(a.take(some)), attributes(b.take(some))
+    own, others = (np.linalg.norm(second - rows, axis=1) for rows in (first, first[_unrelated(len(some))]))
     # Of fewer than eight rows medians say nothing; tracked rows stay below a tenth of the distance of unrelated ones.
     if len(a) < 8 or np.percentile(own, 95) < 0.1 * np.median(others):
         return IN_ORDER
-    spacing, some = spacing_of(a.means), _some(len(a))
+    spacing = spacing_of(a.means)
     wanted, offered = fingerprints(a, spacing), fingerprints(b, spacing)
     rows, _, sure = _nearest_two(wanted[some], offered)
     if sure.mean() >= LEAST_SURE and (sure & (rows != some)).mean() >= 0.05:

@@ -42,7 +42,7 @@ from airgs_codec.encoder.order import hold_frames
 from airgs_codec.encoder.plan import Plan
 from airgs_codec.encoder.publish import PACKAGE_ENDING, EncodeReport
 from airgs_codec.encoder.publish import encode as publish
-from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings, as_in_paper, as_preview
+from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings, as_fast, as_in_paper
 from airgs_codec.encoder.target import DELTA_E, PSNR, SIZE, Goal
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.report import write_report
@@ -61,7 +61,7 @@ from airgs_codec.trainer.track import decide as will_track
 from airgs_codec.trainer.track import tracked
 
 BY_PRESET: dict[str, Callable[[EncodeSettings], EncodeSettings]]
-BY_PRESET = {"default": replace, "quick": as_preview, "paper": as_in_paper}
+BY_PRESET = {"default": replace, "fast": as_fast, "paper": as_in_paper}
 
 
 @as_options
@@ -71,7 +71,7 @@ class Encode:
         ".splat4d, Spacetime Gaussians .ply), either at s3://, gs://, az:// too, or a folder of multi-view pictures"
     )
     output: str | None = setting(None, f"a folder or {BUCKET}", alias="-o", metavar="PLACE", default="SCENE.airgs")
-    preset: str = setting("default", "quick makes no trial encodes, paper has its levels", choices=tuple(BY_PRESET))
+    preset: str = setting("default", "fast makes no trial encodes, paper has its levels", choices=tuple(BY_PRESET))
     settings: Given = given(EncodeSettings, "encoder", ("quality", "group_frames", "margin"))
     plan: str | bool | None = setting(None, "alone: print what would be chosen, as JSON; with such a file: follow it")
     track: bool | None = setting(None, "fit Gaussians to frames that share no rows", default="where the first do not")
@@ -114,7 +114,7 @@ def encode(options: Encode) -> int:
     _say_what_was_found(options, sequence, sound.note if sound else None, quiet)
     sequence = replace(sequence, credit=options.attribution or sequence.attribution, sound_track=sound)
     sequence, goal = hold_frames(sequence), _goal(options, float(sequence.fps))
-    wanted = False if options.track is None and options.preset == "quick" else options.track
+    wanted = False if options.track is None and options.preset == "fast" else options.track
     track, words = will_track(sequence, wanted, settings.rows)
     if words:
         warn(words)

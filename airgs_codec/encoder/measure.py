@@ -2,8 +2,8 @@
 
 A rung is a pruning level with a keyframe quality. Pictures are of frames evenly spread over the package, each from a
 view of its own. The top rung is measured in as many as bound the standard error of its PSNR, others in as many of these
-as bound that of their ratio to it (a ratio estimator; Cochran, Sampling Techniques, 1977, chapter 6): a view that is
-hard for one rung is hard for all.
+as bound that of their ratio to it, or keep it below half of the error of the top rung (a ratio estimator; Cochran,
+Sampling Techniques, 1977, chapter 6): a view that is hard for one rung is hard for all.
 """
 
 from __future__ import annotations
@@ -86,12 +86,14 @@ def measure(
 
     found: dict[Rung, list[Difference]] = {rung: [] for rung in rungs}
     look({rung: range(first) for rung in rungs}, Difference.of)
-    known = {}
+    known, aim = {}, 10 ** (ERROR_DB / 10) - 1
     for rung in rungs:
         spread = _standard_error(found[rung], () if rung == top else found[top])
         own = rung[1] == m.levels[rung[0]].quality  # others are what viewers have while they change
-        needed = math.ceil(first * (spread / (10 ** (ERROR_DB / 10) - 1)) ** 2)
-        known[rung] = range(first, max(first, min(most if own else first, needed)))
+        count = max(first, min(most if own else first, math.ceil(first * (spread / aim) ** 2)))
+        known[rung] = range(first, count)
+        if rung == top:  # half of its error adds an eighth to it
+            aim = max(aim, spread * math.sqrt(first / count) / 2)
     known[top] = range(first, max(some.stop for some in known.values()))
     if len(known[top]):
         look(known, _error_of)

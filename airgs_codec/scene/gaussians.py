@@ -154,8 +154,13 @@ def mean_frame(frames: Sequence[Gaussians]) -> Gaussians:
 def remoteness_in(scene: Gaussians) -> Callable[[Gaussians], NDArray[np.float64]]:
     """Return a measure (N,) of how far rows are from the middle of a scene, 1 at FAR times the median distance."""
     middle = np.median(scene.means, axis=0).astype(np.float64)
-    far = FAR * float(np.median(np.abs(scene.means - middle).max(axis=1)))
-    return lambda g: np.abs(g.means - middle).max(axis=1) / (far or np.inf)
+
+    def away(g: Gaussians) -> NDArray[np.float64]:
+        x, y, z = np.abs(g.means - middle).T
+        return np.maximum(np.maximum(x, y), z)
+
+    far = FAR * float(np.median(away(scene))) or np.inf
+    return lambda g: away(g) / far
 
 
 def mix_rows(a: Gaussians, b: Gaussians, choose: NDArray[np.bool_]) -> Gaussians:

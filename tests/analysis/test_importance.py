@@ -101,7 +101,7 @@ def test_where_no_line_tells_the_number_of_rows_it_is_found_to_one_per_cent(monk
     """Nothing is lost by 436 rows of 1000, and everything by one more."""
     pruning = RowPruning([], np.ones(1000), np.ones(1000), {})
     monkeypatch.setattr(pruning, "error_of", lambda left: pruning._errors.setdefault(1000 - left, float(left < 564)))
-    assert 564 <= len(pruning.within(0.5).rows) <= 574 and len(pruning._errors) <= 10
+    assert 564 <= len(pruning.within(0.5).rows) < 564 + 10 and len(pruning._errors) <= 10
     assert len(pruning.within(2.0).rows) == 1
 
 

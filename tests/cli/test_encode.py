@@ -27,7 +27,7 @@ def encode_sog(folder):
     for number, path in enumerate(sorted(FOX.glob("*.ply"))[:3]):
         (scene / f"{number}.sog").write_bytes(splat_bytes(faces.read_ply(path).take(slice(0, 900)), ".sog"))
     (folder / "region.json").write_text(json.dumps(REGION))
-    words = f"{scene} -o {folder}/out --preset quick --keep-all --measure-pictures 1 --region {folder}/region.json"
+    words = f"{scene} -o {folder}/out --preset fast --keep-all --measure-pictures 1 --region {folder}/region.json"
     with redirect_stdout(StringIO()) as said:
         assert faces.airgs_encode([*words.split(), "--up", "0,3,4", "--unit", "0.01"]) == 0
     (folder / "said").write_text(said.getvalue())
@@ -93,11 +93,11 @@ def levels(*words):
 
 PAPER = {"levels": tuple(faces.LevelSettings(i / 10) for i in range(11)), "tiers": (1.0,), "keyframe_factors": (1.0,)}
 PAPER |= {"calibrate": "none", "usage": "hits", "update_rank": "hits", "keep_all": True, "keyframes": "intra"}
-QUICK = {"levels": levels((0.4, 1, 0), (0.75, 2, 1)), "preset": "superfast", "calibrate": "none"}
-QUICK |= {"decide_pictures": 8, "measure_pictures": 8}
+FAST = {"levels": levels((0.4, 1, 0), (0.75, 2, 1)), "preset": "superfast", "calibrate": "none"}
+FAST |= {"decide_pictures": 8, "measure_pictures": 8}
 ASKED = {
-    "": {}, "--preset paper": PAPER, "--preset quick": QUICK,
-    "--preset quick --group-frames 2 --measure-pictures 2": QUICK | {"group_frames": 2, "measure_pictures": 2},
+    "": {}, "--preset paper": PAPER, "--preset fast": FAST,
+    "--preset fast --group-frames 2 --measure-pictures 2": FAST | {"group_frames": 2, "measure_pictures": 2},
     "--levels 0:1,25:4": {"levels": levels((0, 1, 0), (0.25, 4, 0)), "calibrate": "steps"},
     "--quality low --rows keep --margin 0.5": {"quality": 1.6, "rows": "keep", "margin": 0.5},
     "--calibrate none --keep-all": {"calibrate": "none", "keep_all": True}, "--x264-preset fast": {"preset": "fast"},
@@ -116,7 +116,7 @@ def test_options_are_settings_before_the_defaults_and_targets_are_goals(asked, w
 
 
 def test_a_plan_is_printed_alone_and_followed(asked, tmp_path, capsys):
-    assert faces.airgs_encode(["scene", "--preset", "quick", "--group-frames", "1", "--plan"]) == 0
+    assert faces.airgs_encode(["scene", "--preset", "fast", "--group-frames", "1", "--plan"]) == 0
     printed = capsys.readouterr().out
     assert not asked and not (tmp_path / "scene.airgs").exists()
     (tmp_path / "plan.json").write_text(printed)

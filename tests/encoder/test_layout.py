@@ -14,7 +14,7 @@ from airgs_codec.encoder import layout as module
 from airgs_codec.encoder import sample
 from airgs_codec.media.h264 import delta_codec
 from tests import faces
-from tests.faces import STATIC, EncodeSettings, LevelSettings, as_preview, decode_canonical, decode_frames, open_package
+from tests.faces import STATIC, EncodeSettings, LevelSettings, as_fast, decode_canonical, decode_frames, open_package
 from tests.support.packages import PACKAGES, PAPER, laid_out
 from tests.support.scenes import write_sequence
 
@@ -147,5 +147,5 @@ def test_hits_rank_alone_whatever_changes_and_usage_with_the_size_of_changes(ran
 def test_a_first_look_keeps_what_was_asked_for():
     """The command tells what else it is (tests/cli/test_encode.py)."""
     asked = {"quality": 1.6, "group_frames": 12, "measure_pictures": 0}
-    made = as_preview(EncodeSettings(**asked))
-    assert {name: getattr(made, name) for name in asked} == asked and as_preview(PAPER).levels == PAPER.levels
+    made = as_fast(EncodeSettings(**asked))
+    assert {name: getattr(made, name) for name in asked} == asked and as_fast(PAPER).levels == PAPER.levels

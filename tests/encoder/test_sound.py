@@ -69,7 +69,7 @@ def test_broken_sound_is_found(package, tmp_path):
 def test_the_commands_take_it_and_say_it(tmp_path, capsys):
     scene = str(write_sequence(tmp_path / "scene", moving_frames(40, 39)))
     sound, out = str(write_chirp(tmp_path / "a.wav", 2.0)), str(tmp_path / "out")
-    words = [scene, "-o", out, *["--preset", "quick", "--measure-pictures", "0", "--fps", "30", "--audio"]]
+    words = [scene, "-o", out, *["--preset", "fast", "--measure-pictures", "0", "--fps", "30", "--audio"]]
     assert airgs_encode([*words, sound]) == 0
     assert f"sound: {sound}: cut after 1.30 s, where the pictures end" in capsys.readouterr().out
     assert airgs_manifest(["inspect", out]) == 0

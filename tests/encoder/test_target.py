@@ -95,7 +95,7 @@ def test_a_colour_target_holds_for_views_that_no_trial_saw(first_frames, tmp_pat
     ("--target-de grey", "Invalid value for --target-de: "),
     ("--target-de 1 --target-psnr 40", "expected one of --quality, --target-psnr, --target-de"),
     ("--target-de 1 --target-mbps 40", "expected one of --quality, --target-psnr, --target-de"),
-    ("--target-mbps 0.0001 --preset quick", "out of reach"),
+    ("--target-mbps 0.0001 --preset fast", "out of reach"),
 ])  # fmt: skip
 def test_a_target_that_cannot_be_is_one_line_and_leaves_nothing(scene, tmp_path, capsys, options, words):
     code, error = run(scene.folder, tmp_path / "out", capsys, options)

@@ -14,13 +14,13 @@ import airgs_codec as airgs
 from airgs_codec.analysis.flow import carry
 from airgs_codec.trainer import track
 from tests import faces
-from tests.faces import CPU, EncodeSettings, GaussianSequence, Work, as_preview, encode, open_package, render
+from tests.faces import CPU, EncodeSettings, GaussianSequence, Work, as_fast, encode, open_package, render
 from tests.support.mutations import read_files
 from tests.support.paths import FOX_VIEWS
 from tests.support.scenes import predicted, random_gaussians, write_sequence
 from tests.support.training import files
 
-SETTINGS = as_preview(EncodeSettings(threads=1, device="cpu"))
+SETTINGS = as_fast(EncodeSettings(threads=1, device="cpu"))
 
 
 def encode_tracked(given, path, executor=None, folder=None):
@@ -148,7 +148,7 @@ def test_frames_that_share_no_rows_are_tracked_unless_somebody_says_otherwise(cl
     ):
         assert faces.airgs_encode([*map(str, words), "--track"]) == 2
     assert "--rows: expected auto with --track, which leaves rows in order, got keep\n" in capsys.readouterr().err
-    assert faces.airgs_encode([str(given.folder), "--preset", "quick", "--plan"]) == 0  # a first look tracks nothing
+    assert faces.airgs_encode([str(given.folder), "--preset", "fast", "--plan"]) == 0  # a first look tracks nothing
     out, err = capsys.readouterr()
     assert "--track makes one set of moving Gaussians of them first" in err
     assert faces.Plan.from_json(out.encode()).groups == ((0, 5),)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from airgs_codec import EncodeSettings
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import as_preview
+from airgs_codec.encoder.settings import as_fast
 from airgs_codec.encoder.target import PSNR, Goal, OutOfReachError
 from airgs_codec.inspect.compare import Side, compare_two, open_side
 from airgs_codec.package.region import CHECKING, draw_views
@@ -71,7 +71,7 @@ def measure(path: Path, lab: Lab) -> Row:
     original, spz = open_side(str(path)), folder / "frame.spz"
     write_frames(choose_target(str(spz), None, 1), [(0, sequence.load([0]).frames[0])], Fraction(1))
     first, final = folder / "first.airgs", folder / "final.airgs"
-    encode(sequence, first, as_preview(EncodeSettings()))
+    encode(sequence, first, as_fast(EncodeSettings()))
     cameras = draw_views(_region(first), DRAWS, CHECKING)
     theirs = _look(original, open_side(str(spz)), cameras)
     try:

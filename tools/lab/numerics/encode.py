@@ -1,6 +1,6 @@
 """Bytes of a frame at 43 dB against seconds of the encoder.
 
-Points are x264's presets, calibrated or not, `--preset quick`, and how many pictures decide.
+Points are x264's presets, calibrated or not, `--preset fast`, and how many pictures decide.
 
 The quality factor is interpolated between two encodes near the target. PSNR is that of the package, from views by
 which nothing was decided. Seconds are those of the whole encode but for measuring.
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings, as_preview
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings, as_fast
 from airgs_codec.package.manifest import Manifest, quality_of
 from airgs_codec.scene.sequence import GaussianSequence
 from tools.lab import Took, seconds_of
@@ -30,7 +30,7 @@ ONE_RUNG = EncodeSettings(
     calibrate="none", levels=(LevelSettings(0.0),), keyframe_factors=(1.0,), measure_pictures=MEASURED
 )
 DECIDING = (2, 6, 24, 48)  # --decide-pictures
-PLAIN, CALIBRATED, PREVIEW, DECIDED = "default steps", "calibrated", "--preset quick", "pictures that decide"
+PLAIN, CALIBRATED, FAST, DECIDED = "default steps", "calibrated", "--preset fast", "pictures that decide"
 UNIT = "kB a frame at 43 dB"
 
 
@@ -41,7 +41,7 @@ class Trial:
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """A row for each preset, calibrated and not, for `--preset quick`, and for each number of deciding pictures."""
+    """A row for each preset, calibrated and not, for `--preset fast`, and for each number of deciding pictures."""
     for scene in bench.scenes:
         whole = scene is bench.scenes[0] and not bench.quick
         for curve, setting, settings in variants(PRESETS if whole else PRESETS[-1:], DECIDING if whole else ()):
@@ -63,7 +63,7 @@ def variants(presets: Sequence[str], deciding: Sequence[int]) -> Iterator[tuple[
         yield CALIBRATED, preset, replace(calibrated, preset=preset)
     for count in deciding:
         yield DECIDED, str(count), replace(calibrated, decide_pictures=count)
-    yield PREVIEW, PREVIEW, replace(as_preview(ONE_RUNG), measure_pictures=MEASURED)
+    yield FAST, FAST, replace(as_fast(ONE_RUNG), measure_pictures=MEASURED)
 
 
 def at_target(sequence: GaussianSequence, settings: EncodeSettings, repeats: int) -> tuple[float, list[Took]]:
