@@ -174,12 +174,17 @@ def measure_step_slopes(sample: CalibrationSample, steps: StepSettings, threads:
 
 
 def _row_slope(sample: CalibrationSample, subject: TrialGroup) -> Slope:
-    """Return the slope of the error that leaving out rows may make, from what TRIAL times as much would save."""
+    """Return the slope of the error that leaving out rows may make, from what about TRIAL times as much saves.
+
+    How much more it is follows from the errors that were found, which lie within CLOSE of what was allowed.
+    """
     steps = subject.settings.steps
     remaining = subject.survey.pruning.within(steps.rows * TRIAL)
+    if remaining.error <= subject.layout.removal_error:
+        return 0.0, 0.0
     fewer = sample.take(np.isin(subject.layout.rows[sample.index], remaining.rows)).cost(steps)
     saved = sample.cost(steps).bytes - fewer.bytes
-    return saved / np.log(TRIAL), (remaining.error - subject.layout.removal_error) / (TRIAL**2 - 1)
+    return 2 * saved / np.log(remaining.error / subject.layout.removal_error), steps.rows**2
 
 
 def choose_levels(
