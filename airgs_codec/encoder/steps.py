@@ -176,15 +176,18 @@ def measure_step_slopes(sample: CalibrationSample, steps: StepSettings, threads:
 def _row_slope(sample: CalibrationSample, subject: TrialGroup) -> Slope:
     """Return the slope of the error that leaving out rows may make, from what about TRIAL times as much saves.
 
-    How much more it is follows from the errors that were found, which lie within CLOSE of what was allowed.
+    How much more it is follows from the errors that were found, which lie below what was allowed; how many Gaussians
+    go, from the whole group: the few blocks of a sample have too few of the least important ones to count.
     """
-    steps = subject.settings.steps
-    remaining = subject.survey.pruning.within(steps.rows * TRIAL)
-    if remaining.error <= subject.layout.removal_error:
+    rows, error = subject.layout.rows, subject.layout.removal_error
+    remaining = subject.survey.needed(subject.settings.steps.rows * TRIAL)
+    left = np.isin(rows, remaining.rows)
+    gone, sampled = 1 - left.mean(), 1 - left[sample.index].mean()
+    if sampled == 0 or remaining.error <= error:
         return 0.0, 0.0
-    fewer = sample.take(np.isin(subject.layout.rows[sample.index], remaining.rows)).cost(steps)
-    saved = sample.cost(steps).bytes - fewer.bytes
-    return 2 * saved / np.log(remaining.error / subject.layout.removal_error), steps.rows**2
+    steps, few = subject.settings.steps, sample.take(left[sample.index])
+    saved = (sample.cost(steps).bytes - few.cost(steps).bytes) * gone / sampled
+    return 2 * saved / np.log(remaining.error / error), error
 
 
 def choose_levels(
