@@ -85,7 +85,9 @@ def plain(tmp_path_factory):
 def test_what_changes_nothing_changes_nothing(name, plain, tmp_path):
     scene, decibels, share = RELATIONS[name]
     rows, size, quality = scene.figures(tmp_path / "scene")
-    assert rows == plain[0] and size == pytest.approx(plain[1], rel=share)
+    seen = "in view" in name  # one more Gaussian in a picture: which are needed is found to one per cent
+    assert rows == (pytest.approx(plain[0], rel=0.01) if seen else plain[0])
+    assert size == pytest.approx(plain[1], rel=share)
     assert quality == pytest.approx(plain[2], abs=decibels)
 
 

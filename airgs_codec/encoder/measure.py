@@ -19,7 +19,7 @@ import numpy as np
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.encoder.views import SceneViews
 from airgs_codec.media.metrics import Difference, Picture, low_psnr, psnr
-from airgs_codec.package.manifest import Groups, Manifest
+from airgs_codec.package.manifest import Groups, Manifest, rungs_of
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import GUESSED
 from airgs_codec.package.tables import RungQuality
@@ -169,6 +169,22 @@ def with_quality(m: Manifest, seen: Sequence[Seen], newest: bool = False) -> Man
     if newest:
         m.groups.keep(numbers[0], tables[0])
     return replace(m, groups=m.groups if newest else Groups.of(tables), rungs=measured, views=views)
+
+
+def say_useless(m: Manifest) -> Manifest:
+    """Return a measured package whose decisions say which levels show less than a cheaper one, each in its own quality.
+
+    Pictures that measure tell it, up to the standard error of what they show.
+    """
+    rungs, levels = rungs_of(m, 0), len(m.levels)
+    own = [(rungs[level.quality * levels + j], m.rungs[level.quality][j]) for j, level in enumerate(m.levels)]
+    useless = [
+        f"{rung.name} shows {other.psnr - quality.psnr:.1f} dB less than {cheaper.name}, which takes fewer bytes"
+        for rung, quality in own
+        for cheaper, other in own
+        if cheaper.bytes < rung.bytes and other.psnr > quality.psnr + quality.error
+    ]
+    return replace(m, decisions=[*m.decisions, *useless])
 
 
 def _mean(differences: Sequence[Difference], name: str) -> float:

@@ -14,7 +14,7 @@ from airgs_codec.analysis.rows import Restored
 from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.decide import Surveys, choose
 from airgs_codec.encoder.group import encode_run, fold
-from airgs_codec.encoder.measure import measure, with_quality
+from airgs_codec.encoder.measure import measure, say_useless, with_quality
 from airgs_codec.encoder.order import hold_frames, order_rows
 from airgs_codec.encoder.plan import Choice, Plan
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings
@@ -171,7 +171,7 @@ def measured(
     most, segments = plan.settings.measure_pictures, range(len(m.segments))
     seen = measure(package, sequence, plan.views, renderer, most, segments)
     progress("measuring", 1, 1)
-    return with_quality(m, [seen])
+    return say_useless(with_quality(m, [seen]))
 
 
 @contextmanager

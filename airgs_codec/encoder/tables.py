@@ -11,7 +11,6 @@ from airgs_codec.encoder.deltas import CodedDeltas
 from airgs_codec.encoder.keyframes import CodedKeyframe
 from airgs_codec.encoder.plan import Plan
 from airgs_codec.encoder.streams import FrameClock
-from airgs_codec.encoder.views import CHECK_PICTURES
 from airgs_codec.media.h264 import DELTA_QP, KEYFRAME_QP, library_versions, qp_step
 from airgs_codec.media.movie import SoundTrack
 from airgs_codec.media.mp4 import init_segment, sound_segment
@@ -130,7 +129,7 @@ def build_manifest(
         world=views.world,
         origin=None if sequence.origin == ZERO else list(sequence.origin),
         poster=file_entry(poster),
-        views=tables.Views(views.decided + CHECK_PICTURES, 0, "original" if settings.measure_pictures else "none"),
+        views=tables.Views(views.decided + views.checked, 0, "original" if settings.measure_pictures else "none"),
         qualities=[
             tables.KeyframeQuality(f"Q{q}", factor, coarser)
             for q, (factor, coarser) in enumerate(zip(settings.keyframe_factors, settings.coarser, strict=True))

@@ -36,7 +36,7 @@ from airgs_codec.scene.camera import cameras_from, resized, training_views
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
-CHECK_PICTURES = 16  # other pictures than those that decide, which show what leaving something out would do
+CHECK_PICTURES = 16  # most other pictures than those that decide, which show what leaving something out would do
 DECISION_PIXELS = 200_000  # of a picture that decides: larger ones are made smaller
 SMALL_PIXELS = 110_000  # of pictures that are at most as large, twice as many decide
 SEARCHED_FRAMES = 3  # frames, where no camera is given
@@ -54,6 +54,7 @@ class SceneViews:
     world: World | None  # which way is up, where it is known
     trusted: bool  # Gaussians that no view of the region shows may be left out
     decided: int  # pictures that decide about a group
+    checked: int  # other pictures, which show what leaving something out would do
     blind: tuple[tuple[int, ...], tuple[int, ...]] = ((), ())  # draws that show nothing: to decide, to measure
 
     @property
@@ -75,7 +76,7 @@ class SceneViews:
 
     def decide(self, frames: range, groups: int = 1) -> Pictures:
         """Return pictures that decide about the frames of `groups` groups."""
-        cameras = self.deciding[: self.decided] + self.deciding[self.decided + CHECK_PICTURES :]
+        cameras = self.deciding[: self.decided] + self.deciding[self.decided + self.checked :]
         return _spread(frames, cameras[: round(self.decided * groups**0.5)])
 
     def check(self, frames: range) -> Pictures:
@@ -83,7 +84,7 @@ class SceneViews:
 
         In the views that rank Gaussians, the errors of leaving out the lowest ones look smaller than they are.
         """
-        return _spread(frames, self.deciding[self.decided : self.decided + CHECK_PICTURES])
+        return _spread(frames, self.deciding[self.decided : self.decided + self.checked])
 
     def _drawn(self, seed: int) -> list[Camera]:
         drawn = draw_views(self.region, DRAWS, seed)
@@ -129,7 +130,8 @@ def choose_views(
         raise ConfigError(f"views: expected some that show the middle frame, got {2 * DRAWS} of nothing: {why}")
     small = region.width * region.height <= SMALL_PIXELS
     decided = settings.decide_pictures * (2 if small else 1)
-    return SceneViews(region, world, trusted, decided, (blind[0], blind[1])), tuple(notes)
+    checked = min(CHECK_PICTURES, settings.decide_pictures)
+    return SceneViews(region, world, trusted, decided, checked, (blind[0], blind[1])), tuple(notes)
 
 
 def _blind(region: Region, seed: int, frame: Gaussians, renderer: Renderer) -> tuple[int, ...]:

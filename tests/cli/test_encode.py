@@ -45,7 +45,7 @@ def test_encode_reports_what_it_did_and_inspect_what_is_there(encoded, tmp_path,
     assert {path.name for path in encoded.iterdir()} == {"scene", "region.json", "out", "said"}
     tables = json.loads((encoded / "out" / "airgs.json").read_text())
     assert tables["region"] == REGION | {"source": "file"}
-    assert tables["generator"]["settings"]["preset"] == "superfast"
+    assert tables["generator"]["settings"]["preset"] == "fast"
     assert faces.airgs_manifest(["inspect", package, "--plot", str(tmp_path / "p.png")]) == 0
     out = capsys.readouterr().out
     for word in ("keyframe tier", "pruned", "PSNR", "left out", "up: (0, 0.6, 0.8); units: one is 0.01 m"):
@@ -93,7 +93,7 @@ def levels(*words):
 
 PAPER = {"levels": tuple(faces.LevelSettings(i / 10) for i in range(11)), "tiers": (1.0,), "keyframe_factors": (1.0,)}
 PAPER |= {"calibrate": "none", "usage": "hits", "update_rank": "hits", "keep_all": True, "keyframes": "intra"}
-FAST = {"levels": levels((0.4, 1, 0), (0.75, 2, 1)), "preset": "superfast", "calibrate": "none"}
+FAST = {"levels": levels((0, 1, 0), (0.5, 2, 1)), "preset": "fast", "calibrate": "none"}
 FAST |= {"decide_pictures": 8, "measure_pictures": 8}
 ASKED = {
     "": {}, "--preset paper": PAPER, "--preset fast": FAST,

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.encoder.measure import ERROR_DB, FIRST, Seen, measure, with_quality
+from airgs_codec.encoder.measure import ERROR_DB, FIRST, Seen, measure, say_useless, with_quality
 from tests import faces
 from tests.faces import Difference, EncodeSettings, GaussianSequence, encode, open_package, orbit_views, psnr
 from tests.support.packages import TWO_LEVELS
@@ -44,10 +44,19 @@ def test_every_rung_is_measured_in_the_first_pictures_of_the_top_one_from_all_se
         assert rung.psnr == round(psnr(ratio * top.mean()), 2) and rung.pictures == len(own)
         assert rung.low == round(float(np.quantile([psnr(one.mse) for one in own], 0.05)), 1) < rung.psnr
         assert rung.ssim == pytest.approx(np.mean([one.ssim for one in own[:FIRST]]), abs=1e-4)
-        assert rung.error <= 1.5 * math.hypot(ERROR_DB, ERROR_DB) or rung.pictures in (FIRST, MOST)
+        sure = math.hypot(measured.rungs[0][0].error, max(ERROR_DB, measured.rungs[0][0].error / 2))
+        assert rung.error <= 1.5 * sure or rung.pictures in (FIRST, MOST)
         for number, segment in enumerate(measured.segments):
             there = top[np.array(seen.segments) == number].mean()
             assert segment.levels[level].psnr[quality] == round(psnr(ratio * there), 2)
+
+
+def test_a_level_that_shows_less_than_a_cheaper_one_is_named(package):
+    m, seen = package
+    assert say_useless(with_quality(m, [seen])).decisions == m.decisions
+    worse = {rung: seen.differences[rung] for rung in RUNGS} | {(1, 1): [Difference(1e-9, 1.0, 0.0)] * FIRST}
+    (found,) = say_useless(with_quality(m, [Seen(seen.segments, worse)])).decisions[len(m.decisions) :]
+    assert found.startswith("Q0+L0 shows ") and found.endswith(" dB less than Q1+L1, which takes fewer bytes")
 
 
 @pytest.mark.parametrize(("name", "asked"), [("fox", 8), ("paper", 1)])
