@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec.coding import kernels
 from airgs_codec.coding.escapes import UNIT, Bases
 from airgs_codec.errors import SceneError
 from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, MIN_PICTURE_SIDE, Atlas
@@ -19,6 +20,7 @@ Samples = NDArray[np.uint8]
 CELLS = BLOCK * BLOCK
 GREY = 128
 CODE_LIMIT = 1 << 30  # |code| stays below it, so that sums of a code, a centre and a base fit int32
+NONE = np.empty(0, np.int32)
 STEP_LIMITS = (1e-30, 1e30)  # of steps: products of codes and steps are float32
 
 
@@ -145,20 +147,22 @@ def assemble(samples: NDArray[np.uint8], atlas: Atlas, width: int, height: int) 
 def extract(picture: NDArray[np.uint8], atlas: Atlas, rows: slice = slice(None)) -> NDArray[np.uint8]:
     """Return the samples (P, n) of some rows in a picture. Raises ValueError for one that is smaller than the atlas."""
     start, stop, _ = rows.indices(atlas.rows)
-    samples = np.empty((len(atlas.planes), stop - start), np.uint8)
+    pairs = slice(start // 2, -(-stop // 2))  # of samples of rows 2 i and 2 i + 1, which are side by side
+    samples = np.empty((len(atlas.planes), 2 * (pairs.stop - pairs.start)), np.uint8)
+    some = samples[:, start % 2 :][:, : stop - start]
     if not atlas.planes:
-        return samples
+        return some
     width, height = atlas.size
     if picture.shape[0] < height or picture.shape[1] < width:
         raise ValueError(f"expected a picture of at least {width}x{height}, got {picture.shape[1]}x{picture.shape[0]}")
-    if picture.strides[1] != 1 or picture.strides[0] < picture.shape[1]:
-        picture = np.ascontiguousarray(picture)
+    if picture.strides[1] != 1 or picture.strides[0] < picture.shape[1] or picture.strides[0] % 2:
+        picture = np.ascontiguousarray(picture[:, :width])
     stride = picture.strides[0]  # decoders pad the lines of their pictures
-    flat = np.lib.stride_tricks.as_strided(picture, (stride * (len(picture) - 1) + picture.shape[1],), (1,))
-    places = row_places(atlas.rows, atlas.plane_width, stride)[rows]
-    for plane, first in zip(samples, plane_starts(atlas, stride), strict=True):
-        flat[first:].take(places, out=plane, mode="clip")  # all are inside; "raise" would copy
-    return samples
+    flat = np.lib.stride_tricks.as_strided(picture, (stride * (len(picture) - 1) + width,), (1,)).view(np.uint16)
+    places = row_places(atlas.rows, atlas.plane_width, stride)[::2][pairs] // 2
+    for plane, first in zip(samples.view(np.uint16), plane_starts(atlas, stride), strict=True):
+        flat[first // 2 :].take(places, out=plane, mode="clip")  # all are inside; "raise" would copy
+    return some
 
 
 def read_codes(picture: Samples, atlas: Atlas, bases: Bases, rows: slice = slice(None)) -> NDArray[np.int32]:
@@ -175,6 +179,15 @@ def read_codes(picture: Samples, atlas: Atlas, bases: Bases, rows: slice = slice
         if base is not None:
             codes[channel] += UNIT * base[rows]
     return codes
+
+
+def add_values(
+    values: NDArray[np.float32], picture: Samples, atlas: Atlas, bases: Bases, rows: slice, units: NDArray[np.float32]
+) -> None:
+    """Add to values (channels, n) of some rows what `read_codes` gives of channels that have a plane, in `units`."""
+    for channel, samples, base in zip(atlas.planes, extract(picture, atlas, rows), bases, strict=True):
+        offsets = NONE if base is None else UNIT * base[rows]
+        kernels.add_codes(values[channel], samples, offsets, atlas.centres[channel] - GREY, units[channel])
 
 
 def slope_times(frames: int) -> NDArray[np.float64]:
