@@ -7,12 +7,13 @@ Row i goes to the i-th cell of 16x16 blocks; cells of a block follow a Z-curve, 
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding import kernels
 from airgs_codec.coding.escapes import UNIT, Bases
+from airgs_codec.coding.rangecoder import worth_compiling
 from airgs_codec.errors import SceneError
 from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, MIN_PICTURE_SIDE, Atlas
 
@@ -20,7 +21,6 @@ Samples = NDArray[np.uint8]
 CELLS = BLOCK * BLOCK
 GREY = 128
 CODE_LIMIT = 1 << 30  # |code| stays below it, so that sums of a code, a centre and a base fit int32
-NONE = np.empty(0, np.int32)
 STEP_LIMITS = (1e-30, 1e30)  # of steps: products of codes and steps are float32
 
 
@@ -147,11 +147,10 @@ def assemble(samples: NDArray[np.uint8], atlas: Atlas, width: int, height: int) 
 def extract(picture: NDArray[np.uint8], atlas: Atlas, rows: slice = slice(None)) -> NDArray[np.uint8]:
     """Return the samples (P, n) of some rows in a picture. Raises ValueError for one that is smaller than the atlas."""
     start, stop, _ = rows.indices(atlas.rows)
+    if not atlas.planes:
+        return np.empty((0, stop - start), np.uint8)
     pairs = slice(start // 2, -(-stop // 2))  # of samples of rows 2 i and 2 i + 1, which are side by side
     samples = np.empty((len(atlas.planes), 2 * (pairs.stop - pairs.start)), np.uint8)
-    some = samples[:, start % 2 :][:, : stop - start]
-    if not atlas.planes:
-        return some
     width, height = atlas.size
     if picture.shape[0] < height or picture.shape[1] < width:
         raise ValueError(f"expected a picture of at least {width}x{height}, got {picture.shape[1]}x{picture.shape[0]}")
@@ -162,7 +161,7 @@ def extract(picture: NDArray[np.uint8], atlas: Atlas, rows: slice = slice(None))
     places = row_places(atlas.rows, atlas.plane_width, stride)[::2][pairs] // 2
     for plane, first in zip(samples.view(np.uint16), plane_starts(atlas, stride), strict=True):
         flat[first // 2 :].take(places, out=plane, mode="clip")  # all are inside; "raise" would copy
-    return some
+    return samples[:, start % 2 :][:, : stop - start]
 
 
 def read_codes(picture: Samples, atlas: Atlas, bases: Bases, rows: slice = slice(None)) -> NDArray[np.int32]:
@@ -181,13 +180,23 @@ def read_codes(picture: Samples, atlas: Atlas, bases: Bases, rows: slice = slice
     return codes
 
 
-def add_values(
-    values: NDArray[np.float32], picture: Samples, atlas: Atlas, bases: Bases, rows: slice, units: NDArray[np.float32]
-) -> None:
-    """Add to values (channels, n) of some rows what `read_codes` gives of channels that have a plane, in `units`."""
+def read_values(
+    picture: Samples, atlas: Atlas, bases: Bases, rows: slice, units: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return what `scale_codes` gives of `read_codes`."""
+    if not (loop := worth_compiling(_scale, 0)):
+        return scale_codes(read_codes(picture, atlas, bases, rows), units)
+    start, stop, _ = rows.indices(atlas.rows)
+    values = np.repeat(scale_codes(np.array(atlas.centres, np.int32)[:, None], units), stop - start, axis=1)
     for channel, samples, base in zip(atlas.planes, extract(picture, atlas, rows), bases, strict=True):
-        offsets = NONE if base is None else UNIT * base[rows]
-        kernels.add_codes(values[channel], samples, offsets, atlas.centres[channel] - GREY, units[channel])
+        zero, some = np.int32(atlas.centres[channel] - GREY), np.empty(0, np.int32) if base is None else base[rows]
+        loop(samples, zero, some, units[channel], values[channel])
+    return values
+
+
+def _scale(samples: Samples, zero: np.int32, bases: NDArray[np.int32], unit: np.float32, values: Any) -> None:
+    for i in range(len(samples)):
+        values[i] = np.float32(np.int32(samples[i] + zero + (UNIT * bases[i] if len(bases) else 0))) * unit
 
 
 def slope_times(frames: int) -> NDArray[np.float64]:

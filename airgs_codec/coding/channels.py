@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -59,23 +59,16 @@ class Canonical(Columns):
 
 Make = Callable[[Gaussians, Canonical, Doubles], NDArray[np.floating]]
 Put = Callable[[NDArray[np.float32], Canonical, NDArray[np.float32]], NDArray[np.float32]]
-# How rows g become (N, c) channels of an attribute over a canonical space b, and decoded channels x (c, N) what is added
-# to its column in b (k, N), or what it is turned by; s (C,) are the steps of colours before the KLT. Decoders keep the
-# order of operations.
+# How rows g become (N, c) channels of an attribute over a canonical space b, and decoded channels x (c, N) the changes
+# of its column in b, see `kernels.change_rows`; s (C,) are the steps of colours before the KLT.
 ATTRIBUTES: dict[str, tuple[Make, Put]] = {
-    "means": (
-        lambda g, b, s: (g.means - b.means) / b.motion_units[:, None],
-        lambda x, b, s: x * b.motion_units,
-    ),
+    "means": (lambda g, b, s: (g.means - b.means) / b.motion_units[:, None], lambda x, b, s: x * b.motion_units),
     "log_scales": (lambda g, b, s: g.log_scales.astype(np.float64) - b.log_scales, lambda x, b, s: x),
     "quaternions": (
         lambda g, b, s: to_rotation_vector(multiply(g.quaternions, conjugate(b.quaternions.astype(np.float64)))),
-        lambda x, b, s: kernels.to_quaternions(x),
-    ),
-    "opacity": (
-        lambda g, b, s: (sigmoid(g.opacity_logits.astype(np.float64)) - b.opacity)[:, None],
         lambda x, b, s: x,
     ),
+    "opacity": (lambda g, b, s: (sigmoid(g.opacity_logits.astype(np.float64)) - b.opacity)[:, None], lambda x, b, s: x),
     COLOUR: (
         lambda g, b, s: to_klt((colours(g.sh_dc, g.sh_rest) - b.colour.astype(np.float64)) / s, b.transform),
         lambda x, b, s: kernels.klt_colours(x, b.transform.astype(np.float32), s),
@@ -186,7 +179,7 @@ class DeltaApplier:
     """
 
     def __init__(
-        self, base: Canonical, rows: NDArray[np.intp], steps: DeltaSteps, constant: Sequence[str] = ()
+        self, base: Canonical, rows: NDArray[np.intp], steps: DeltaSteps, constant: Collection[str] = ()
     ) -> None:
         shown, self.rows, self.constant = base.to_gaussians(), rows, constant
         self.colour_steps = colour_steps(steps, len(base.transform)).astype(np.float32)

@@ -55,34 +55,14 @@ def consecutive(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
     return slice(int(rows[0]), int(rows[-1]) + 1) if whole else rows
 
 
-def add_codes(values: Floats, samples: NDArray[np.uint8], bases: NDArray[np.int32], zero: int, unit: np.float32) -> None:
-    """Add to values (n,) their codes times a unit: the sum of sample, base and zero; `bases` (0,): all are 0."""
-    compiled = worth_compiling(_add_codes, 0)
-    if compiled:
-        compiled(values, samples, bases, np.int32(zero), unit)
-    else:
-        codes = np.add(samples, zero, dtype=np.int32)
-        values += (codes + bases if len(bases) else codes).astype(np.float32) * unit
-
-
-def _add_codes(
-    values: Floats, samples: NDArray[np.uint8], bases: NDArray[np.int32], zero: np.int32, unit: np.float32
-) -> None:
-    if len(bases):
-        for i in range(len(values)):
-            values[i] += np.float32(np.int32(np.int32(samples[i]) + zero) + bases[i]) * unit
-    else:
-        for i in range(len(values)):
-            values[i] += np.float32(np.int32(np.int32(samples[i]) + zero)) * unit
-
-
 def change_rows(column: NDArray[Any], rows: NDArray[np.intp], base: NDArray[Any], changes: Floats) -> None:
-    """Write rows (n,) of a column: those of `base` plus changes (k, n), or turned by them where they are quaternions."""
-    compiled = worth_compiling(_turn if len(changes) == 4 else _add, 0)
-    if compiled:
-        compiled(column.reshape(-1, len(changes)), rows, base.reshape(-1, len(changes)), changes)
+    """Write rows (n,) of a column: those of `base` plus changes (k, n); quaternions are turned by rotation vectors."""
+    turned = base.shape[1:] == (4,)
+    if loop := worth_compiling(_turn if turned else _add, 0):
+        width = base.shape[1] if base.ndim > 1 else 1
+        loop(column.reshape(-1, width), rows, base.reshape(-1, width), changes)
     else:
-        values = multiply(changes.T, base) if len(changes) == 4 else base + changes.T.reshape(base.shape)
+        values = multiply(to_quaternions(changes), base) if turned else base + changes.T.reshape(base.shape)
         column[consecutive(rows)] = values
 
 
@@ -92,9 +72,23 @@ def _add(column: NDArray[Any], rows: NDArray[np.intp], base: NDArray[Any], chang
             column[rows[i], k] = base[i, k] + changes[k, i]
 
 
-def _turn(column: Floats, rows: NDArray[np.intp], base: Floats, changes: Floats) -> None:
+def _turn(column: Floats, rows: NDArray[np.intp], base: Floats, vectors: Floats) -> None:
+    """Do what `to_quaternions` and `multiply` do, with series for sine and cosine: a core adds up several at once."""
+    turns = np.empty((4, len(rows)), np.float32)
     for i in range(len(rows)):
-        aw, ax, ay, az = changes[0, i], changes[1, i], changes[2, i], changes[3, i]
+        x, y, z = vectors[0, i], vectors[1, i], vectors[2, i]
+        angle = np.sqrt(x * x + y * y + z * z)
+        halves = np.rint(angle * (0.5 / math.pi))
+        half = angle * 0.5 - halves * math.pi  # within pi / 2 of 0
+        square, sine, cosine = half * half, 1.0, 1.0
+        for k in range(20, 0, -2):
+            sine = 1 - square * (1 / (k * (k + 1))) * sine
+            cosine = 1 - square * (1 / (k * (k - 1))) * cosine
+        sign = 1 - 2 * (halves - 2 * np.floor(halves * 0.5))
+        factor = np.float32(sign * half * sine) / angle if angle > _SMALL_ANGLE else np.float32(0.5)
+        turns[0, i], turns[1, i], turns[2, i], turns[3, i] = sign * cosine, factor * x, factor * y, factor * z
+    for i in range(len(rows)):
+        aw, ax, ay, az = turns[0, i], turns[1, i], turns[2, i], turns[3, i]
         bw, bx, by, bz = base[i, 0], base[i, 1], base[i, 2], base[i, 3]
         column[rows[i], 0] = aw * bw - ax * bx - ay * by - az * bz
         column[rows[i], 1] = aw * bx + ax * bw + ay * bz - az * by
@@ -103,36 +97,16 @@ def _turn(column: Floats, rows: NDArray[np.intp], base: Floats, changes: Floats)
 
 
 def to_quaternions(vectors: Floats) -> Floats:
-    """Return the unit quaternions (4, n) of rotation vectors (3, n).
+    """Return the unit quaternions (n, 4) of rotation vectors (3, n).
 
     Sines and cosines are taken in float64 and rounded: float32 ones differ from one machine to the next.
     """
-    if compiled := worth_compiling(_to_quaternions, 0):
-        compiled(vectors, quaternions := np.empty((4, vectors.shape[1]), np.float32))
-        return quaternions
     x, y, z = vectors
     angle = np.sqrt(x * x + y * y + z * z)
     half = (angle / np.float32(2)).astype(np.float64)
     factor = np.sin(half).astype(np.float32) / np.maximum(angle, _SMALL_ANGLE)
     factor[angle <= _SMALL_ANGLE] = 0.5
-    return np.stack([np.cos(half).astype(np.float32), *(factor * vectors)])
-
-
-def _to_quaternions(vectors: Floats, quaternions: Floats) -> None:
-    """Fill `quaternions`, with series of sines and cosines, which machines have vectors for, of angles in -pi/2..pi/2."""
-    for i in range(vectors.shape[1]):
-        x, y, z = vectors[0, i], vectors[1, i], vectors[2, i]
-        angle = np.sqrt(x * x + y * y + z * z)
-        turns = np.rint(angle * (0.5 / math.pi))
-        half = angle * 0.5 - turns * math.pi
-        square, sine, cosine = half * half, 1.0, 1.0
-        for k in range(20, 0, -2):
-            sine = 1 - square * (1 / (k * (k + 1))) * sine
-            cosine = 1 - square * (1 / (k * (k - 1))) * cosine
-        sign = 1 - 2 * (turns - 2 * np.floor(turns * 0.5))
-        factor = np.float32(sign * half * sine) / max(angle, _SMALL_ANGLE) if angle > _SMALL_ANGLE else np.float32(0.5)
-        quaternions[0, i] = sign * cosine
-        quaternions[1, i], quaternions[2, i], quaternions[3, i] = factor * x, factor * y, factor * z
+    return np.column_stack([np.cos(half).astype(np.float32), (factor * vectors).T])
 
 
 def klt_colours(channels: Floats, transform: Floats, steps: Floats) -> Floats:

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from airgs_codec._arguments import argument, frame_argument
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import add_values, code_units, read_codes, scale_codes, slope_times
+from airgs_codec.coding.atlas import code_units, read_codes, read_values, slope_times
 from airgs_codec.coding.channels import Canonical, DeltaApplier, dequantise_keyframe, join_canonical, unpack_matrix
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeyframeSidecar, read_detail, unpack_keyframe_sidecar
 from airgs_codec.errors import ConfigError, FormatError, FrameError
 from airgs_codec.media.h264 import open_segment
-from airgs_codec.package.layout import COLOUR, DELTA, keyframe_layout
+from airgs_codec.package.layout import DELTA, keyframe_layout
 from airgs_codec.package.package import OPENED, Package, open_package
 from airgs_codec.package.parse import expect
 from airgs_codec.package.tables import STATIC, Atlas
@@ -146,14 +146,11 @@ class Shown:
 
     def values(self, rows: slice) -> NDArray[np.float32]:
         """Return the values (c, n) of some rows."""
-        start, stop, _ = rows.indices(self.atlas.rows)
-        still = np.array(self.atlas.centres, np.int32)
-        still[self.atlas.planes] = 0
-        values = np.repeat(scale_codes(still[:, None], self.units), stop - start, axis=1)
-        add_values(values, self.luma[0], self.atlas, self.luma[1], rows, self.units)
+        picture, bases = self.luma
+        values = read_values(picture, self.atlas, bases, rows, self.units)
         if self.slopes:
-            (picture, bases), level = self.slopes, replace(self.atlas, centres=[0] * len(still))
-            add_values(values, picture, level, bases, rows, self.units * np.float32(self.time))
+            (picture, bases), still = self.slopes, replace(self.atlas, centres=[0] * len(self.atlas.centres))
+            values += read_values(picture, still, bases, rows, self.units * np.float32(self.time))
         return values
 
 
