@@ -180,10 +180,8 @@ def read_codes(picture: Samples, atlas: Atlas, bases: Bases, rows: slice = slice
     return codes
 
 
-def read_values(
-    picture: Samples, atlas: Atlas, bases: Bases, rows: slice, units: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Return what `scale_codes` gives of `read_codes`."""
+def read_values(picture: Samples, atlas: Atlas, bases: Bases, rows: slice, units: NDArray[np.float32]) -> NDArray[Any]:
+    """Return what `scale_codes` gives of `read_codes`: values (channels, n), float32."""
     if not (loop := worth_compiling(_scale, 0)):
         return scale_codes(read_codes(picture, atlas, bases, rows), units)
     start, stop, _ = rows.indices(atlas.rows)

@@ -2,7 +2,8 @@
 
 What is worked out row by row never needs more memory than a chunk of rows takes. n rows, C colour channels. Arithmetic
 is in float32, within the bounds of FORMAT.md (section 5, Precision), in one order of operations: equal channels give
-equal rows on every machine, however rows are cut into chunks.
+equal rows on every machine, however rows are cut into chunks and whether loops are compiled. (Rotations by hundreds of
+radians may differ in the last bit.)
 """
 
 from __future__ import annotations
