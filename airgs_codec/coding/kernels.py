@@ -2,8 +2,7 @@
 
 What is worked out row by row never needs more memory than a chunk of rows takes. n rows, C colour channels. Arithmetic
 is in float32, within the bounds of FORMAT.md (section 5, Precision), in one order of operations: equal channels give
-equal rows on every machine, however rows are cut into chunks and whether loops are compiled. (Rotations by hundreds of
-radians may differ in the last bit.)
+equal rows on every machine, however rows are cut into chunks, and whether loops are compiled or not.
 """
 
 from __future__ import annotations
@@ -58,9 +57,8 @@ def consecutive(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
 
 def change_rows(column: NDArray[Any], rows: NDArray[np.intp], base: NDArray[Any], changes: Floats) -> None:
     """Write rows (n,) of a column: those of `base` plus changes (k, n); quaternions are turned by rotation vectors."""
-    turned = base.shape[1:] == (4,)
-    if loop := worth_compiling(_turn if turned else _add, 0):
-        width = base.shape[1] if base.ndim > 1 else 1
+    width = base.shape[1] if base.ndim > 1 else 1
+    if loop := worth_compiling(_turn if (turned := width == 4) else _add, 0):
         loop(column.reshape(-1, width), rows, base.reshape(-1, width), changes)
     else:
         values = multiply(to_quaternions(changes), base) if turned else base + changes.T.reshape(base.shape)
@@ -80,7 +78,7 @@ def _turn(column: Floats, rows: NDArray[np.intp], base: Floats, vectors: Floats)
         x, y, z = vectors[0, i], vectors[1, i], vectors[2, i]
         angle = np.sqrt(x * x + y * y + z * z)
         halves = np.rint(angle * (0.5 / math.pi))
-        half = angle * 0.5 - halves * math.pi  # within pi / 2 of 0
+        half = angle * 0.5 - halves * math.pi  # within pi / 2 of 0; of hundreds of radians less exact
         square, sine, cosine = half * half, 1.0, 1.0
         for k in range(20, 0, -2):
             sine = 1 - square * (1 / (k * (k + 1))) * sine
