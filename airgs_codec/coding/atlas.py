@@ -7,11 +7,13 @@ Row i goes to the i-th cell of 16x16 blocks; cells of a block follow a Z-curve, 
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.escapes import UNIT, Bases
+from airgs_codec.coding.rangecoder import worth_compiling
 from airgs_codec.errors import SceneError
 from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, MIN_PICTURE_SIDE, Atlas
 
@@ -145,20 +147,21 @@ def assemble(samples: NDArray[np.uint8], atlas: Atlas, width: int, height: int) 
 def extract(picture: NDArray[np.uint8], atlas: Atlas, rows: slice = slice(None)) -> NDArray[np.uint8]:
     """Return the samples (P, n) of some rows in a picture. Raises ValueError for one that is smaller than the atlas."""
     start, stop, _ = rows.indices(atlas.rows)
-    samples = np.empty((len(atlas.planes), stop - start), np.uint8)
     if not atlas.planes:
-        return samples
+        return np.empty((0, stop - start), np.uint8)
+    pairs = slice(start // 2, -(-stop // 2))  # of samples of rows 2 i and 2 i + 1, which are side by side
+    samples = np.empty((len(atlas.planes), 2 * (pairs.stop - pairs.start)), np.uint8)
     width, height = atlas.size
     if picture.shape[0] < height or picture.shape[1] < width:
         raise ValueError(f"expected a picture of at least {width}x{height}, got {picture.shape[1]}x{picture.shape[0]}")
-    if picture.strides[1] != 1 or picture.strides[0] < picture.shape[1]:
-        picture = np.ascontiguousarray(picture)
+    if picture.strides[1] != 1 or picture.strides[0] < picture.shape[1] or picture.strides[0] % 2:
+        picture = np.ascontiguousarray(picture[:, :width])
     stride = picture.strides[0]  # decoders pad the lines of their pictures
-    flat = np.lib.stride_tricks.as_strided(picture, (stride * (len(picture) - 1) + picture.shape[1],), (1,))
-    places = row_places(atlas.rows, atlas.plane_width, stride)[rows]
-    for plane, first in zip(samples, plane_starts(atlas, stride), strict=True):
-        flat[first:].take(places, out=plane, mode="clip")  # all are inside; "raise" would copy
-    return samples
+    flat = np.lib.stride_tricks.as_strided(picture, (stride * (len(picture) - 1) + width,), (1,)).view(np.uint16)
+    places = row_places(atlas.rows, atlas.plane_width, stride)[::2][pairs] // 2
+    for plane, first in zip(samples.view(np.uint16), plane_starts(atlas, stride), strict=True):
+        flat[first // 2 :].take(places, out=plane, mode="clip")  # all are inside; "raise" would copy
+    return samples[:, start % 2 :][:, : stop - start]
 
 
 def read_codes(picture: Samples, atlas: Atlas, bases: Bases, rows: slice = slice(None)) -> NDArray[np.int32]:
@@ -175,6 +178,23 @@ def read_codes(picture: Samples, atlas: Atlas, bases: Bases, rows: slice = slice
         if base is not None:
             codes[channel] += UNIT * base[rows]
     return codes
+
+
+def read_values(picture: Samples, atlas: Atlas, bases: Bases, rows: slice, units: NDArray[np.float32]) -> NDArray[Any]:
+    """Return what `scale_codes` gives of `read_codes`: values (channels, n), float32."""
+    if not (loop := worth_compiling(_scale, 0)):
+        return scale_codes(read_codes(picture, atlas, bases, rows), units)
+    start, stop, _ = rows.indices(atlas.rows)
+    values = np.repeat(scale_codes(np.array(atlas.centres, np.int32)[:, None], units), stop - start, axis=1)
+    for channel, samples, base in zip(atlas.planes, extract(picture, atlas, rows), bases, strict=True):
+        zero, some = np.int32(atlas.centres[channel] - GREY), np.empty(0, np.int32) if base is None else base[rows]
+        loop(samples, zero, some, units[channel], values[channel])
+    return values
+
+
+def _scale(samples: Samples, zero: np.int32, bases: NDArray[np.int32], unit: np.float32, values: Any) -> None:
+    for i in range(len(samples)):
+        values[i] = np.float32(np.int32(samples[i] + zero + (UNIT * bases[i] if len(bases) else 0))) * unit
 
 
 def slope_times(frames: int) -> NDArray[np.float64]:

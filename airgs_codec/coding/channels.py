@@ -12,9 +12,8 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,26 +58,20 @@ class Canonical(Columns):
 
 
 Make = Callable[[Gaussians, Canonical, Doubles], NDArray[np.floating]]
-Put = Callable[[NDArray[np.float32], Canonical, NDArray[np.float32]], NDArray[np.floating]]
-# How rows g become (N, c) channels of an attribute over a canonical space b, and what decoded channels x (c, N) make of
-# its column in b; s (C,) are the steps of colours before the KLT. Decoders keep the order of operations.
+Put = Callable[[NDArray[np.float32], Canonical, NDArray[np.float32]], NDArray[np.float32]]
+# How rows g become (N, c) channels of an attribute over a canonical space b, and decoded channels x (c, N) the changes
+# of its column in b, see `kernels.change_rows`; s (C,) are the steps of colours before the KLT.
 ATTRIBUTES: dict[str, tuple[Make, Put]] = {
-    "means": (
-        lambda g, b, s: (g.means - b.means) / b.motion_units[:, None],
-        lambda x, b, s: b.means + (x * b.motion_units).T,
-    ),
-    "log_scales": (lambda g, b, s: g.log_scales.astype(np.float64) - b.log_scales, lambda x, b, s: b.log_scales + x.T),
+    "means": (lambda g, b, s: (g.means - b.means) / b.motion_units[:, None], lambda x, b, s: x * b.motion_units),
+    "log_scales": (lambda g, b, s: g.log_scales.astype(np.float64) - b.log_scales, lambda x, b, s: x),
     "quaternions": (
         lambda g, b, s: to_rotation_vector(multiply(g.quaternions, conjugate(b.quaternions.astype(np.float64)))),
-        lambda x, b, s: multiply(kernels.to_quaternions(x), b.quaternions),
+        lambda x, b, s: x,
     ),
-    "opacity": (
-        lambda g, b, s: (sigmoid(g.opacity_logits.astype(np.float64)) - b.opacity)[:, None],
-        lambda x, b, s: b.opacity + x[0],
-    ),
+    "opacity": (lambda g, b, s: (sigmoid(g.opacity_logits.astype(np.float64)) - b.opacity)[:, None], lambda x, b, s: x),
     COLOUR: (
         lambda g, b, s: to_klt((colours(g.sh_dc, g.sh_rest) - b.colour.astype(np.float64)) / s, b.transform),
-        lambda x, b, s: b.colour + kernels.klt_colours(x, b.transform.astype(np.float32), s).T,
+        lambda x, b, s: kernels.klt_colours(x, b.transform.astype(np.float32), s),
     ),
 }
 
@@ -134,7 +127,8 @@ def dequantise_keyframe(
     def fill(rows: slice) -> None:
         some, part = _some(channels, rows), before.take(rows)
         for name, column in out.items():
-            column[rows] = ATTRIBUTES[name][1](some[kind.slice(name)], part, scale)
+            changes = ATTRIBUTES[name][1](some[kind.slice(name)], part, scale)
+            kernels.change_rows(column, np.arange(rows.start, rows.stop), getattr(part, name), changes)
 
     kernels.for_chunks(fill, len(sidecar.depths), WIDTH)
     return replace(base, depths=sidecar.depths, **out)
@@ -178,53 +172,47 @@ def hold_undrawn(channels: Doubles, drawn: NDArray[np.bool_]) -> None:
         channels[t][:, rows] = last
 
 
-def consecutive(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
-    """Return ascending rows (n,) as a slice where they are consecutive: reading them then copies nothing."""
-    whole = len(rows) and rows[-1] - rows[0] == len(rows) - 1
-    return slice(int(rows[0]), int(rows[-1]) + 1) if whole else rows
-
-
 class DeltaApplier:
-    """Adds decoded deltas to rows (n,) of one level, ascending; what all frames of a segment share is gathered once.
+    """Adds decoded deltas to rows (n,) of one level, ascending; what all frames of a segment share is made once.
 
-    All channels of what is `constant`, quaternions or colour, are 0.
+    The channels of attributes that are `constant` are the same in all frames.
     """
 
     def __init__(
-        self, base: Canonical, rows: NDArray[np.intp], steps: DeltaSteps, constant: Sequence[str] = ()
+        self, base: Canonical, rows: NDArray[np.intp], steps: DeltaSteps, constant: Collection[str] = ()
     ) -> None:
-        self.shown, self.quaternions, self.rows = base.to_gaussians(), base.quaternions, rows
+        shown, self.rows, self.constant = base.to_gaussians(), rows, constant
         self.colour_steps = colour_steps(steps, len(base.transform)).astype(np.float32)
-        before = {"means": self.shown.means, "log_scales": base.log_scales, "opacity": self.shown.opacity_logits}
-        before |= {"quaternions": base.quaternions, COLOUR: base.colour}
-        self.before = {name: column for name, column in before.items() if name not in constant}
-        without: Any = {name: before[name][:, :0] for name in constant}
-        self.level = replace(base, **without).take(consecutive(rows))
+        self.before = {"means": shown.means, "log_scales": base.log_scales, "opacity": base.opacity}
+        self.before |= {"quaternions": base.quaternions, COLOUR: base.colour}
+        self.changing, self.level = list(self.before), base.take(kernels.consecutive(rows))
 
     def apply(self, channels: Channels) -> Gaussians:
         """Return the frame that decoded delta channels of the n rows make of the canonical space: all N rows.
 
         Where `channels` is a function from rows to their (10 + C, m) channels, several threads call it.
         """
-        shown, out = self.shown, {name: np.empty_like(column) for name, column in self.before.items()}
+        out = self.before | {name: np.empty_like(self.before[name]) for name in self.changing}
 
         def fill(rows: slice) -> None:
             start, stop = np.searchsorted(self.rows, (rows.start, rows.stop)).tolist()
             if stop - start < rows.stop - rows.start:
-                for name, column in out.items():
-                    column[rows] = self.before[name][rows]
-            if start == stop:
-                return
+                for name in self.changing:
+                    out[name][rows] = self.before[name][rows]
             some, part = _some(channels, slice(start, stop)), self.level.take(slice(start, stop))
-            changed = consecutive(self.rows[start:stop])
-            for name, column in out.items():
-                values = ATTRIBUTES[name][1](some[DELTA.slice(name)], part, self.colour_steps)
-                column[changed] = from_opacity(values) if name == "opacity" else values
+            for name in self.changing:
+                changes = ATTRIBUTES[name][1](some[DELTA.slice(name)], part, self.colour_steps)
+                kernels.change_rows(out[name], self.rows[start:stop], getattr(part, name), changes)
+            if "opacity" in self.changing:
+                out["opacity"][rows] = from_opacity(out["opacity"][rows])
 
-        kernels.for_chunks(fill, len(shown), WIDTH)
-        dc, rest = split_colours(out[COLOUR]) if COLOUR in out else (shown.sh_dc, shown.sh_rest)
-        quaternions = out.get("quaternions", self.quaternions)
-        return Gaussians(out["means"], quaternions, out["log_scales"], out["opacity"], np.ascontiguousarray(dc), rest)
+        kernels.for_chunks(fill, len(out["means"]), WIDTH)
+        if COLOUR in self.changing:
+            dc, rest = split_colours(out[COLOUR])
+            self.colours = np.ascontiguousarray(dc), rest
+        self.before |= {name: out[name] for name in self.constant}
+        self.changing = [name for name in out if name not in self.constant]
+        return Gaussians(out["means"], out["quaternions"], out["log_scales"], out["opacity"], *self.colours)
 
 
 def _some(channels: Channels, rows: slice) -> NDArray[np.float32]:

@@ -2,20 +2,24 @@
 
 What is worked out row by row never needs more memory than a chunk of rows takes. n rows, C colour channels. Arithmetic
 is in float32, within the bounds of FORMAT.md (section 5, Precision), in one order of operations: equal channels give
-equal rows on every machine, however rows are cut into chunks.
+equal rows on every machine, however rows are cut into chunks, and whether loops are compiled or not.
 """
 
 from __future__ import annotations
 
 import functools
+import math
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._settings import available_cores
+from airgs_codec.coding.rangecoder import worth_compiling
+from airgs_codec.scene.gaussians import multiply
 
 CHUNK = 1 << 20  # numbers of all its rows together that a chunk has at most; but it has at least LEAST rows
 LEAST = 256  # rows
@@ -43,6 +47,52 @@ def _pool() -> ThreadPoolExecutor:
 
 if hasattr(os, "register_at_fork"):  # the threads of a pool stay with the parent, and a child would wait for them
     os.register_at_fork(after_in_child=_pool.cache_clear)
+
+
+def consecutive(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
+    """Return ascending rows (n,) as a slice where they are consecutive: reading them then copies nothing."""
+    whole = len(rows) and rows[-1] - rows[0] == len(rows) - 1
+    return slice(int(rows[0]), int(rows[-1]) + 1) if whole else rows
+
+
+def change_rows(column: NDArray[Any], rows: NDArray[np.intp], base: NDArray[Any], changes: Floats) -> None:
+    """Write rows (n,) of a column: those of `base` plus changes (k, n); quaternions are turned by rotation vectors."""
+    width = base.shape[1] if base.ndim > 1 else 1
+    if loop := worth_compiling(_turn if (turned := width == 4) else _add, 0):
+        loop(column.reshape(-1, width), rows, base.reshape(-1, width), changes)
+    else:
+        values = multiply(to_quaternions(changes), base) if turned else base + changes.T.reshape(base.shape)
+        column[consecutive(rows)] = values
+
+
+def _add(column: NDArray[Any], rows: NDArray[np.intp], base: NDArray[Any], changes: Floats) -> None:
+    for i in range(len(rows)):
+        for k in range(len(changes)):
+            column[rows[i], k] = base[i, k] + changes[k, i]
+
+
+def _turn(column: Floats, rows: NDArray[np.intp], base: Floats, vectors: Floats) -> None:
+    """Do what `to_quaternions` and `multiply` do, with series for sine and cosine: a core adds up several at once."""
+    turns = np.empty((4, len(rows)), np.float32)
+    for i in range(len(rows)):
+        x, y, z = vectors[0, i], vectors[1, i], vectors[2, i]
+        angle = np.sqrt(x * x + y * y + z * z)
+        halves = np.rint(angle * (0.5 / math.pi))
+        half = angle * 0.5 - halves * math.pi  # within pi / 2 of 0; of hundreds of radians less exact
+        square, sine, cosine = half * half, 1.0, 1.0
+        for k in range(20, 0, -2):
+            sine = 1 - square * (1 / (k * (k + 1))) * sine
+            cosine = 1 - square * (1 / (k * (k - 1))) * cosine
+        sign = 1 - 2 * (halves - 2 * np.floor(halves * 0.5))
+        factor = np.float32(sign * half * sine) / angle if angle > _SMALL_ANGLE else np.float32(0.5)
+        turns[0, i], turns[1, i], turns[2, i], turns[3, i] = sign * cosine, factor * x, factor * y, factor * z
+    for i in range(len(rows)):
+        aw, ax, ay, az = turns[0, i], turns[1, i], turns[2, i], turns[3, i]
+        bw, bx, by, bz = base[i, 0], base[i, 1], base[i, 2], base[i, 3]
+        column[rows[i], 0] = aw * bw - ax * bx - ay * by - az * bz
+        column[rows[i], 1] = aw * bx + ax * bw + ay * bz - az * by
+        column[rows[i], 2] = aw * by - ax * bz + ay * bw + az * bx
+        column[rows[i], 3] = aw * bz + ax * by - ay * bx + az * bw
 
 
 def to_quaternions(vectors: Floats) -> Floats:

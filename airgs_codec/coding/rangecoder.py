@@ -177,10 +177,11 @@ def worth_compiling(loop: Loop, numbers: int) -> Loop | None:
     return _compiled(loop) if _numbers > LOADING or "numba" in sys.modules else None
 
 
-def _models(order: int) -> tuple[list[int], list[int], list[int]]:
+def _models(order: int, compiled: Loop | None) -> tuple[Whole, Whole, Whole]:
     """Return `chances` and `divisors` of fresh models, one for each context and node, and `shares`."""
     count = MODEL_CONTEXTS**order * _NODES
-    return [CHANCE_HALF] * count, [_FIRST] * count, _SHARES
+    fresh = [np.full(count, start, np.int64) if compiled else [start] * count for start in (CHANCE_HALF, _FIRST)]
+    return fresh[0], fresh[1], _mutable(_SHARES, compiled)
 
 
 def encode_columns(columns: Sequence[Column]) -> bytes:
@@ -193,7 +194,7 @@ def encode_columns(columns: Sequence[Column]) -> bytes:
         values = np.ascontiguousarray(numbers, np.int64)
         if len(values) and int(values.min()) < 0:
             raise ValueError(f"expected numbers from 0, got {values.min()}")
-        chances, divisors, shares = (_mutable(column, compiled) for column in _models(order))
+        chances, divisors, shares = _models(order, compiled)
         state[_CONTEXT] = 0
         for start in range(0, len(values), _BATCH):
             some = values[start : start + _BATCH] if compiled else values[start : start + _BATCH].tolist()
@@ -240,7 +241,7 @@ class ColumnReader:
             return np.zeros(count, np.int64)
         compiled = worth_compiling(_decode, count)
         values: Whole = np.zeros(count, np.int64) if compiled else [0] * count
-        chances, divisors, shares = (_mutable(numbers, compiled) for numbers in _models(order))
+        chances, divisors, shares = _models(order, compiled)
         state = _mutable(self._state, compiled)
         data = np.frombuffer(self._data, np.uint8) if compiled else self._data
         (compiled or _decode)(values, chances, divisors, shares, state, data)

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from airgs_codec._arguments import argument, frame_argument
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import code_units, read_codes, scale_codes, slope_times
+from airgs_codec.coding.atlas import code_units, read_codes, read_values, slope_times
 from airgs_codec.coding.channels import Canonical, DeltaApplier, dequantise_keyframe, join_canonical, unpack_matrix
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeyframeSidecar, read_detail, unpack_keyframe_sidecar
 from airgs_codec.errors import ConfigError, FormatError, FrameError
 from airgs_codec.media.h264 import open_segment
-from airgs_codec.package.layout import COLOUR, DELTA, keyframe_layout
+from airgs_codec.package.layout import DELTA, keyframe_layout
 from airgs_codec.package.package import OPENED, Package, open_package
 from airgs_codec.package.parse import expect
 from airgs_codec.package.tables import STATIC, Atlas
@@ -147,10 +147,10 @@ class Shown:
     def values(self, rows: slice) -> NDArray[np.float32]:
         """Return the values (c, n) of some rows."""
         picture, bases = self.luma
-        values = scale_codes(read_codes(picture, self.atlas, bases, rows), self.units)
+        values = read_values(picture, self.atlas, bases, rows, self.units)
         if self.slopes:
             (picture, bases), still = self.slopes, replace(self.atlas, centres=[0] * len(self.atlas.centres))
-            values += scale_codes(read_codes(picture, still, bases, rows), self.units * np.float32(self.time))
+            values += read_values(picture, still, bases, rows, self.units * np.float32(self.time))
         return values
 
 
@@ -214,8 +214,7 @@ def decode_segment(
         if len(rows) > atlas.rows or (complete and len(rows) != atlas.rows):
             raise FormatError("count_mismatch", files[0], f"the sidecars give {len(rows)} rows, the table {atlas.rows}")
         names = DELTA.names(m.colour_channels)
-        varying = {names[i] for i, centre in enumerate(atlas.centres) if centre or i in atlas.planes}
-        constant = [name for name in ("quaternions", COLOUR) if name not in varying]
+        constant = set(names).difference(names[channel] for channel in atlas.planes)
         applier = DeltaApplier(base, rows, group.delta_steps, constant)
         frames = range(places[0], places[-1] + 1)
         deltas = zip(frames, decode_pictures(package, index, level, frames), strict=True)

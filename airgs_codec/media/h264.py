@@ -36,6 +36,7 @@ _LEVEL_BUFFER = 184_320  # macroblocks of the pictures that a decoder holds
 _LEVEL_RATE = 983_040  # macroblocks a second
 _MOST_REFERENCES = 4  # more take time and save no bytes
 BETWEEN = 3  # B-pictures in a row between deltas
+_SERIAL = 1 << 21  # most bytes of pictures that one thread decodes
 _IDR = 5  # type of the NAL units of an IDR picture
 _SLICES = (1, _IDR)  # of all pictures
 _SEI = 6  # type of the NAL unit in which x264 repeats its version and options in every stream
@@ -229,7 +230,8 @@ def _decode(samples: Sequence[bytes], where: str) -> Iterator[av.VideoFrame]:
     """Yield each picture in display order; its `pts` is the place of its sample. Raises FormatError(bad_picture)."""
     try:
         context = av.CodecContext.create("h264", "r")
-        context.thread_count = 1
+        context.thread_type, many = "FRAME", sum(map(len, samples)) > _SERIAL
+        context.thread_count = min(4, available_cores()) if many else 1
         for number, sample in enumerate(samples):
             packet = av.Packet(mp4.start_codes(sample))
             packet.pts = number

@@ -1,5 +1,6 @@
 """The public way in: one frame of a package, level and keyframe quality by id or by index."""
 
+import itertools
 import json
 import subprocess
 import sys
@@ -8,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.coding import kernels
+from airgs_codec.coding import atlas, kernels, rangecoder
 from tests import faces
 from tests.faces import ConfigError, decode, decode_canonical, decode_frames, open_package
 from tests.support.paths import GOLDEN, VALID
 
 CASES = sorted(path.stem for path in GOLDEN.glob("*.json"))
+WAYS = (lambda *_: None), (lambda loop, _: rangecoder._compiled(loop))  # loops as they stand, compiled
 ROOM = open_package(GOLDEN / "room")
 
 
@@ -76,6 +78,24 @@ def test_how_many_rows_are_decoded_together_changes_nothing(monkeypatch, level):
         frames.append([frame.gaussians for frame in decode_frames(package, 0, 4, level=level)])
     assert len(frames[0][0]) > 2 * 256
     assert all(same(a, b) for a, b in zip(*frames, strict=True))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_compiled_loops_decode_to_the_bits_of_plain_ones(monkeypatch, case):
+    package, frames = open_package(GOLDEN / case), []
+    for way, module in itertools.product(WAYS, (atlas, kernels)):
+        monkeypatch.setattr(module, "worth_compiling", way)
+        frames.append([frame.gaussians for frame in decode_frames(package, 0, package.manifest.frames)])
+    assert all(same(a, b) for some in frames for a, b in zip(frames[0], some, strict=True))
+
+
+def test_compiled_rotations_by_any_angle_are_those_of_plain_ones(monkeypatch):
+    rng, turned = np.random.default_rng(0), np.empty((2, 999, 4), np.float32)
+    vectors = (rng.normal(size=(3, 999)) * 10.0 ** rng.uniform(-12, 2, 999)).astype(np.float32)
+    for out, way in zip(turned, WAYS, strict=True):
+        monkeypatch.setattr(kernels, "worth_compiling", way)
+        kernels.change_rows(out, np.arange(999), np.eye(4, dtype=np.float32)[np.arange(999) % 4], vectors)
+    np.testing.assert_allclose(turned[1], turned[0], rtol=0, atol=1e-6)
 
 
 BARE = """

@@ -40,16 +40,24 @@ export function planeCorner(atlas: Atlas, plane: number): number {
   return line * atlas.width + (plane % atlas.columns) * atlas.plane_width;
 }
 
-const CRC = Uint32Array.from({ length: 256 }, (_, byte) => {
-  let rest = byte;
+/** What a byte makes of a checksum; from 256, 512 and 768 on: with one, two and three bytes after it. */
+const CRC = new Int32Array(4 * 256);
+for (let n = 0; n < CRC.length; n++) {
+  let rest = n < 256 ? n : CRC[n - 256]!;
   for (let bit = 0; bit < 8; bit++) rest = rest & 1 ? (rest >>> 1) ^ 0xedb88320 : rest >>> 1;
-  return rest;
-});
+  CRC[n] = rest;
+}
 
 /** Throws FormatError(bad_picture) unless decoded luma has this checksum, CRC-32 (RFC 1952); `where` names the file. */
 export function checkLuma(luma: Uint8Array, checksum: number | undefined, where: string): void {
   let rest = -1;
-  for (let i = 0; i < luma.length; i++) rest = (rest >>> 8) ^ CRC[(rest ^ luma[i]!) & 0xff]!;
+  let i = 0;
+  for (; i < luma.length - 3; i += 4) {
+    rest ^= luma[i]! | (luma[i + 1]! << 8) | (luma[i + 2]! << 16) | (luma[i + 3]! << 24);
+    const after = CRC[768 + (rest & 255)]! ^ CRC[512 + ((rest >>> 8) & 255)]!;
+    rest = after ^ CRC[256 + ((rest >>> 16) & 255)]! ^ CRC[rest >>> 24]!;
+  }
+  for (; i < luma.length; i++) rest = (rest >>> 8) ^ CRC[(rest ^ luma[i]!) & 255]!;
   if (~rest >>> 0 !== checksum)
     throw new FormatError("bad_picture", where, `a picture differs from its checksum ${checksum}`);
 }

@@ -114,8 +114,8 @@ export function checkCount(root: Root, table: Group, level: number, tiers: numbe
 
 /** The bases of an atlas from picture to picture; every picture of a file is to be asked for, in order. */
 export class Bases {
-  /** Bases by now, of samples that ever had another than 0: by plane · N + row. */
-  readonly now = new Map<number, number>();
+  /** Bases by now, by plane · N + row; empty: all are 0. */
+  readonly now: Int32Array;
   readonly offsets: Uint32Array;
   #at = 0;
 
@@ -123,6 +123,7 @@ export class Bases {
     readonly escapes: Escapes,
     readonly atlas: Atlas,
   ) {
+    this.now = new Int32Array(escapes.index.length ? atlas.planes.length * atlas.rows : 0);
     this.offsets = rowOffsets(atlas);
   }
 
@@ -137,10 +138,8 @@ export class Bases {
     const bases = new Int32Array(this.#at - first);
     for (let e = first; e < this.#at; e++) {
       const sample = index[e]! % area;
-      const base = ((this.now.get(sample) ?? 0) + jumps[e]!) | 0;
-      this.now.set(sample, base);
       texels[e - first] = planeCorner(this.atlas, Math.floor(sample / rows)) + this.offsets[sample % rows]!;
-      bases[e - first] = base;
+      bases[e - first] = this.now[sample]! += jumps[e]!;
     }
     return { texels, bases, slopes };
   }

@@ -114,23 +114,16 @@ function movedMeans(
   time = 0,
 ): Float32Array {
   const means = before.slice();
-  const add = (i: number, axis: number, code: number) => {
-    const row = rows[i];
-    means[AXES * row + axis] += Math.fround(code * steps[axis]) * units[row];
-  };
   for (let axis = 0; axis < AXES; axis++) {
-    const centre = atlas.centres[axis];
-    const plane = atlas.planes.indexOf(axis);
+    const [centre, step, plane] = [atlas.centres[axis], steps[axis], atlas.planes.indexOf(axis)];
     if (plane < 0 && !centre) continue;
-    const corner = plane < 0 ? 0 : planeCorner(atlas, plane);
+    const [corner, first] = [plane < 0 ? 0 : planeCorner(atlas, plane), plane * atlas.rows];
     for (let i = 0; i < rows.length; i++) {
       const at = corner + offsets[i];
-      add(i, axis, plane < 0 ? centre : luma[at] - GREY + centre + (slopes ? time * slopes[at] : 0));
+      const more = (now.length ? ESCAPE_UNIT * now[first + i] : 0) + (slopes ? time * slopes[at] : 0);
+      const code = plane < 0 ? centre : luma[at] - GREY + centre + more;
+      means[AXES * rows[i] + axis] += Math.fround(code * step) * units[rows[i]];
     }
-  }
-  for (const [sample, base] of now) {
-    const [axis, i] = [atlas.planes[Math.floor(sample / atlas.rows)], sample % atlas.rows];
-    if (axis < AXES && i < rows.length) add(i, axis, ESCAPE_UNIT * base);
   }
   return means;
 }
