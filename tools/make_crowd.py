@@ -2,11 +2,11 @@
 
     python -m tools.make_crowd MODELS OUT [--gaussians 120000] [--seconds 2]
 
-MODELS is a folder of .glb files with skins and animations, such as Fox (PixelMannen, @tomkranis) and RiggedFigure
-(Cesium) of Khronos, CC-BY 4.0, and Knight of KayKit (Kay Lousberg, CC0). There is one of them for every 10,000
-Gaussians, in turn, each with a clip and a moment of its own. Gaussians are round discs at fixed places of triangles, as
-many on every part of the surface, in the colours of the first picture under the light of the first frame. T frames, V
-vertices, F triangles, J joints, N Gaussians. Matrices take points of a node to the world.
+MODELS is a folder of .glb files with skins and animations, such as Fox (PixelMannen, CC0; rig by @tomkranis, CC-BY 4.0)
+and RiggedFigure (Cesium, CC-BY 4.0) of Khronos, and Knight of KayKit (Kay Lousberg, CC0). There is one of them for
+every 10,000 Gaussians, in turn, each with a clip and a moment of its own. Gaussians are round discs at fixed places of
+triangles, as many on every part of the surface, in the colours of the first picture under the light of the first frame.
+T frames, V vertices, F triangles, J joints, N Gaussians. Matrices take points of a node to the world.
 """
 
 from __future__ import annotations
@@ -28,19 +28,16 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation, Slerp
 
 from airgs_codec.scene.camera import dome_views
+from airgs_codec.scene.formats.gltf import local_matrix, open_gltf, read_accessor
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
 from tools.lab.made import camera_entry
 
 Floats = NDArray[np.float64]
-KINDS = {5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-REST = {"rotation": [0, 0, 0, 1], "scale": [1, 1, 1], "translation": [0, 0, 0]}
 PUT_AWAY = re.compile("Offhand|Badge|Rectangle|Spike|2H_")  # nodes of what nobody holds at once
 LOOPS = re.compile("Survey|Walk|Run|Idle|Cheer|None")  # names of clips that end as they begin
-FPS, EACH = 30, 10_000  # frames a second, Gaussians of one
 HEIGHTS = {"Fox": 0.8}  # world units; of the others 1.7
-APART = 0.75  # one of a crowd has the area of a circle of this radius
+FPS, EACH, APART = 30, 10_000, 0.75  # frames a second, Gaussians of one, the radius of the circle that it has
 LIGHT = np.array([0.4, 0.8, 0.45])  # of length 1
 SIZE, THIN, OPACITY = 0.56, 0.1, 4.0  # deviation in distances to neighbours, thickness in deviations, logit
 CAMERAS, PIXELS, RISES = 20, 512, (0.15, 0.9)  # of which every fifth is held out; radians above the horizon
@@ -50,18 +47,17 @@ class Model:
     """A .glb: `faces` (F, 3) are numbers of vertices, `uv` (V, 2) places of `picture` (height, width, 3) of 0 to 1."""
 
     def __init__(self, path: Path) -> None:
-        data = path.read_bytes()
-        end = 20 + int.from_bytes(data[12:16], "little")
-        self.name, self.document, self.chunk = path.stem, json.loads(data[20:end]), data[end + 8 :]
+        self.name, (self.document, self.chunk) = path.stem, open_gltf(path)
         self.parts, faces, uv, count = [], list[NDArray](), list[NDArray](), 0
         for n, node in enumerate(self.document["nodes"]):
             shown = "mesh" in node and not PUT_AWAY.search(node.get("name", ""))
             for part in self.document["meshes"][node["mesh"]]["primitives"] if shown else ():
                 self.parts.append((n, part))
-                at = {name: self.accessor(index) for name, index in part["attributes"].items()}
-                uv.append(at.get("TEXCOORD_0", np.zeros((len(at["POSITION"]), 2))))
-                faces.append(count + (self.accessor(part["indices"]) if "indices" in part else np.arange(len(uv[-1]))))
-                count += len(uv[-1])
+                names, corners = part["attributes"], part.get("indices")
+                rows = self.document["accessors"][names["POSITION"]]["count"]
+                uv.append(self.read(names["TEXCOORD_0"], 2) if "TEXCOORD_0" in names else np.zeros((rows, 2)))
+                faces.append(count + (np.arange(rows) if corners is None else self.read(corners, 1).astype(int)))
+                count += rows
         self.faces, self.uv = np.concatenate([one.reshape(-1, 3) for one in faces]), np.concatenate(uv)
         if "images" in self.document:
             view = self.document["bufferViews"][self.document["images"][0]["bufferView"]]
@@ -69,50 +65,44 @@ class Model:
             with Image.open(io.BytesIO(self.chunk[start : start + view["byteLength"]])) as image:
                 self.picture = np.asarray(image.convert("RGB")) / 255
         else:
-            base = self.document["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"]
-            self.picture = np.array(base[:3]).reshape(1, 1, 3) ** (1 / 2.2)
+            base = self.document["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"]  # linear
+            self.picture = np.array([[base[:3]]]) ** (1 / 2.2)
 
-    def accessor(self, index: int) -> NDArray:
-        a = self.document["accessors"][index]
-        view, kind = self.document["bufferViews"][a["bufferView"]], np.dtype(KINDS[a["componentType"]])
-        width, start = WIDTHS[a["type"]], view.get("byteOffset", 0) + a.get("byteOffset", 0)
-        stride = view.get("byteStride", kind.itemsize * width)
-        return np.ndarray((a["count"], width), kind, self.chunk, start, (stride, kind.itemsize))
+    def read(self, accessor: int, width: int) -> Floats:
+        return read_accessor(self.document, [self.chunk], accessor, width).astype(np.float64)
 
     def vertices(self, clip: dict[str, Any], seconds: Floats) -> Floats:
         """Return (T, V, 3) at moments (T,) of a clip, which repeats."""
         world, posed = self._worlds(clip, seconds), []
         for n, part in self.parts:
-            at = {name: self.accessor(index).astype(np.float64) for name, index in part["attributes"].items()}
-            points, skin = np.insert(at["POSITION"], 3, 1, axis=1), self.document["nodes"][n].get("skin")
+            names, skin = part["attributes"], self.document["nodes"][n].get("skin")
+            points = np.insert(self.read(names["POSITION"], 3), 3, 1, axis=1)
             if skin is None:
                 posed.append(np.einsum("tab,vb->tva", world[:, n], points))
                 continue
             bound, inverse = (self.document["skins"][skin][key] for key in ("joints", "inverseBindMatrices"))
-            bones = world[:, bound] @ self.accessor(inverse).reshape(-1, 4, 4).transpose(0, 2, 1)  # (T, J, 4, 4)
-            pairs = zip(at["JOINTS_0"].astype(int).T, at["WEIGHTS_0"].T / at["WEIGHTS_0"].sum(axis=1), strict=True)
+            bones = world[:, bound] @ self.read(inverse, 16).reshape(-1, 4, 4).transpose(0, 2, 1)  # (T, J, 4, 4)
+            joints, shares = self.read(names["JOINTS_0"], 4).astype(int), self.read(names["WEIGHTS_0"], 4)
+            pairs = zip(joints.T, shares.T / shares.sum(axis=1), strict=True)
             posed.append(sum(np.einsum("v,tvab,vb->tva", share, bones[:, joint], points) for joint, share in pairs))
         return np.concatenate(posed, axis=1)[..., :3]
 
     def _worlds(self, clip: dict[str, Any], seconds: Floats) -> Floats:
         """Return (T, nodes, 4, 4)."""
-        nodes, length = self.document["nodes"], max(self.accessor(s["input"])[-1, 0] for s in clip["samplers"])
-        matrices = [np.reshape(node.get("matrix", np.eye(4)), (4, 4)).T for node in nodes]
-        local = np.tile(matrices, (len(seconds), 1, 1, 1))
-        found = [{name: np.atleast_2d(node.get(name, rest)) for name, rest in REST.items()} for node in nodes]
+        nodes, samplers = [dict(node) for node in self.document["nodes"]], clip["samplers"]
+        length, moves = max(self.read(s["input"], 1)[-1, 0] for s in samplers), []
         for channel in clip["channels"]:
-            sampler, target = clip["samplers"][channel["sampler"]], channel["target"]
-            times, values = self.accessor(sampler["input"])[:, 0], self.accessor(sampler["output"])
-            when = np.clip(seconds % length, times[0], times[-1])
-            turns = target["path"] == "rotation"
-            if len(times) > 1:
-                between = Slerp(times, Rotation.from_quat(values)) if turns else make_interp_spline(times, values, 1)
-                values = between(when).as_quat() if turns else between(when)
-            found[target["node"]][target["path"]] = values
-        for n, parts in enumerate(found):
-            if "matrix" not in nodes[n]:
-                local[:, n, :3, :3] = Rotation.from_quat(parts["rotation"]).as_matrix() * parts["scale"][:, None]
-                local[:, n, :3, 3] = parts["translation"]
+            sampler, (node, path) = samplers[channel["sampler"]], (channel["target"][key] for key in ("node", "path"))
+            times, turns = self.read(sampler["input"], 1)[:, 0], path == "rotation"
+            values = self.read(sampler["output"], 4 if turns else 3)
+            between = Slerp(times, Rotation.from_quat(values)) if turns else make_interp_spline(times, values, 1)
+            found = between(np.clip(seconds % length, times[0], times[-1]))
+            moves.append((nodes[node], path, found.as_quat() if turns else found))
+        local = np.empty((len(seconds), len(nodes), 4, 4))
+        for t in range(len(seconds)):
+            for node, path, values in moves:
+                node[path] = values[t]
+            local[t] = [local_matrix(node) for node in nodes]
         world, waiting = local.copy(), [(n, -1) for n in self.document["scenes"][0]["nodes"]]
         for n, parent in waiting:  # which grows
             world[:, n] = local[:, n] if parent < 0 else world[:, parent] @ local[:, n]

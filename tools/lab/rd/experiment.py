@@ -151,15 +151,8 @@ def draw(points: Sequence[RdPoint], title: str, figure: Figure) -> None:
     for coder, curve in curves(points).items():
         style = next((line for words, line in STYLES.items() if coder.endswith(words)), "-")
         x, y = [p.kb_per_frame for p in curve], [p.psnr for p in curve]
-        axis.plot(
-            x,
-            y,
-            f"o{style}",
-            color=colours[family[coder]],
-            label=coder,
-            linewidth=2.5 if coder == OURS else 1.3,
-            markersize=4,
-        )
+        width = 2.5 if coder == OURS else 1.3
+        axis.plot(x, y, f"o{style}", color=colours[family[coder]], label=coder, linewidth=width, markersize=4)
     axis.set(xlabel="kB a frame, everything fetched", ylabel="PSNR, dB (against renderings of the input)", title=title)
     axis.set_xscale("log")
     sizes = [p.kb_per_frame for p in points]
