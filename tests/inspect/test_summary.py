@@ -51,10 +51,9 @@ def test_rates_and_bytes_of_levels_rungs_and_kinds_count_everything_a_viewer_fet
 def test_bits_of_a_gaussian_and_what_must_come_before_a_picture_are_told():
     summary = summarise(m := tiny_manifest(), MANIFESTS)
     assert summary["bits_per_gaussian"] == pytest.approx(8 * (2 * 6300 + MANIFESTS) / (20 * 20))
-    seeks = [8e-6 * (100 + 6300 + 6 * 350) / 50, 8e-6 * (100 + 2300 + 6 * 350) / 2]
-    assert [(one["rung"], one["seek_s"]) for one in summary["waits"]] == [
-        ("Q0 + L0", pytest.approx(seeks[0])), ("Q1 + L2", pytest.approx(seeks[1]))
-    ]  # fmt: skip
+    top, lowest = summary["waits"]
+    assert (top["rung"], top["seek_s"]) == ("Q0 + L0", pytest.approx(8e-6 * (100 + 6300 + 6 * 350) / 50))
+    assert (lowest["rung"], lowest["seek_s"]) == ("Q1 + L2", pytest.approx(8e-6 * (100 + 2300 + 6 * 350) / 2))
     assert format_summary(m, MANIFESTS).count("round trips aside") == 2
     package = faces.open_package(VALID / "inter")
     waits, offers = summarise(package.manifest, package.manifest_bytes)["waits"][0], faces.Offers.of(package)
