@@ -67,7 +67,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> Row:
     difference to. Of a keyframe tier in one quality and of a level: `gaussians`, the fewest and most of a group,
     `factor` of the quantiser steps, `pruned`, the share of moving rows. Of a rung, keyframe quality by keyframe
     quality: everything that its viewer fetches; quality over all pictures, None where it was not measured; whether
-    players choose it (`on_ladder`).
+    players choose it (`on_ladder`). `bits_per_gaussian`: of the top rung, for each written Gaussian of a frame.
     """
     sound = sum(group.sound.bytes for group in m.groups if group.sound)
     s: Row = {"frames": m.frames, "fps": float(m.fps), "duration_s": float(m.frames / m.fps), "sh_degree": m.sh_degree}

@@ -122,6 +122,7 @@ def _splats(document: Document) -> Iterator[_Placed]:
 
 
 def local_matrix(node: dict[str, Any]) -> NDArray[np.float64]:
+    """Return the (4, 4) transform from a node to the one that it belongs to."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     turn, scale = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1))), np.array(node.get("scale", (1, 1, 1)), float)
