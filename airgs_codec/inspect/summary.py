@@ -201,8 +201,8 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
         "",
         f"top rung, kB/frame: {', '.join(kinds)}; {s['bits_per_gaussian']:.2f} bits a Gaussian and frame",
         *(
-            f"{w['rung']} at {w['mbps']:g} Mbit/s, round trips aside: first picture {w['first_s']:.2f} s, that of a seek "
-            f"at most {w['seek_s']:.2f} s"
+            f"{w['rung']} at {w['mbps']:g} Mbit/s, round trips aside: first picture {w['first_s']:.2f} s, "
+            f"that of a seek at most {w['seek_s']:.2f} s"
             for w in s["waits"]
         ),
         *(f"left out: {line}" for line in s["left_out"]),
