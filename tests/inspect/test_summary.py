@@ -56,12 +56,12 @@ def test_bits_of_a_gaussian_and_what_must_come_before_a_picture_are_told():
     assert (lowest["rung"], lowest["seek_s"]) == ("Q1 + L2", pytest.approx(8e-6 * (100 + 2300 + 6 * 350) / 2))
     assert format_summary(m, MANIFESTS).count("round trips aside") == 2
     package = faces.open_package(VALID / "inter")
-    waits, offers = summarise(package.manifest, package.manifest_bytes)["waits"][0], faces.Offers.of(package)
+    offers = faces.Offers.of(package)
     tables, files = offers.sought(1, 0)
     assert tables == ("group/2.json.gz", "group/1.json.gz") and "keyframe/T0/Q0/1.m4s" in files
-    poster = ["poster.jpg"] if package.manifest.poster else []
-    first = ["airgs.json", "group/1.json.gz", *package.manifest.rung_files(0, 0, [0]), *poster]
-    assert waits["first_s"] == pytest.approx(8e-6 * offers.wire_bytes(first) / 50)
+    first = offers.wire_bytes(("airgs.json", "group/1.json.gz", *package.manifest.rung_files(0, 0, [0])))
+    waits = summarise(package.manifest, package.manifest_bytes)["waits"]
+    assert waits[0]["first_s"] == pytest.approx(8e-6 * first / 50)
 
 
 def test_rows_that_a_group_keeps_are_counted():
