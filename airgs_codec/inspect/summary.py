@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,18 @@ import numpy as np
 from airgs_codec._report import BLUE, GREY, Form, PagePicture, Table
 from airgs_codec.media.metrics import psnr
 from airgs_codec.media.movie import LAYOUTS
-from airgs_codec.package.layout import DELTA, KEYFRAME
+from airgs_codec.package.layout import DELTA, JSON_NAME, KEYFRAME, POSTER_NAME
 from airgs_codec.package.manifest import Manifest, quality_of, rungs_of
+from airgs_codec.package.package import root_of
+from airgs_codec.package.parse import pack_json
 from airgs_codec.package.region import region_figures, region_words, world_words
 from airgs_codec.package.tables import LeftOut, RungQuality
+from airgs_codec.play.offers import Offers
 
 UNUSED = ("0", "0 %", "-", "", "…")  # cells of a column that this scene does not need
 MOST_GROUPS = 12  # in the table of groups
 LEFT_OUT = {"gaussians": "Gaussians", "updates": "rows are never updated"}
+WAITS = ((0, 50.0), (-1, 2.0))  # rungs, the top one and the lowest, with Mbit/s of links
 Row = dict[str, Any]
 Columns = dict[str, tuple[str, Form]]
 
@@ -62,7 +67,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> Row:
     difference to. Of a keyframe tier in one quality and of a level: `gaussians`, the fewest and most of a group,
     `factor` of the quantiser steps, `pruned`, the share of moving rows. Of a rung, keyframe quality by keyframe
     quality: everything that its viewer fetches; quality over all pictures, None where it was not measured; whether
-    players choose it (`on_ladder`).
+    players choose it (`on_ladder`). `bits_per_gaussian`: of the top rung, for each written Gaussian of a frame.
     """
     sound = sum(group.sound.bytes for group in m.groups if group.sound)
     s: Row = {"frames": m.frames, "fps": float(m.fps), "duration_s": float(m.frames / m.fps), "sh_degree": m.sh_degree}
@@ -78,8 +83,22 @@ def summarise(m: Manifest, manifest_bytes: int) -> Row:
     s |= {"levels": [_level(m, j) for j in range(len(m.levels))], "rungs": rung_rows(m, manifest_bytes)}
     s["sound"] = m.sound and {"form": LAYOUTS[m.sound.channels], "mean_bps": _rate(m, sound)}
     s |= {"top_rung_bytes": bytes_by_kind(m, manifest_bytes), "left_out": describe_left_out(m)}
+    drawn = sum(g.count * (g.stop - g.start) for g in m.groups)
+    s["bits_per_gaussian"] = 8 * m.frames * s["rungs"][0]["bytes_per_frame"] / max(drawn, 1)
+    s["waits"] = [_waits(m, rung, mbps) for rung, mbps in WAITS]
     s["repairs"] = [line for group in m.groups for line in group.repairs]
     return s | {"decisions": list(m.decisions), "attribution": m.attribution}
+
+
+def _waits(m: Manifest, rung: int, mbps: float) -> Row:
+    """Return seconds in which what a viewer needs passes a link, round trips aside: for the first picture, and at most
+    for one of a segment of whose group nothing is there.
+    """
+    offers = Offers(m, root_bytes=len(pack_json(root_of(m))))
+    sizes = [offers.wire_bytes(chain(*offers.sought(segment, rung))) for segment in range(offers.segments)]
+    first = sizes[0] + offers.wire_bytes([JSON_NAME, *([POSTER_NAME] if m.poster else [])])
+    name = offers.names[rung].replace("+", " + ")
+    return {"rung": name, "mbps": mbps, "first_s": 8e-6 * first / mbps, "seek_s": 8e-6 * max(sizes) / mbps}
 
 
 def _rate(m: Manifest, size: float) -> float:
@@ -180,7 +199,12 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
         "everything a viewer fetches (*: the ladder; the others are beaten by a mixture of two on it):",
         rung_table(s["rungs"]).to_text(),
         "",
-        f"top rung, kB/frame: {', '.join(kinds)}",
+        f"top rung, kB/frame: {', '.join(kinds)}; {s['bits_per_gaussian']:.2f} bits a Gaussian and frame",
+        *(
+            f"{w['rung']} at {w['mbps']:g} Mbit/s, round trips aside: first picture {w['first_s']:.2f} s, "
+            f"that of a seek at most {w['seek_s']:.2f} s"
+            for w in s["waits"]
+        ),
         *(f"left out: {line}" for line in s["left_out"]),
         *_notes(m),
         *([f"attribution: {m.attribution}"] if m.attribution else []),

@@ -11,6 +11,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib import import_module
@@ -20,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from airgs_codec._arguments import brief
-from airgs_codec.errors import ConfigError
+from airgs_codec.errors import ConfigError, TransportError
 from airgs_codec.package.layout import FileKind, file_kind
 from airgs_codec.play.downloader import Arrived, BatchKind, Cut, Displayed, Event, Lost, Replaced
 from airgs_codec.play.offers import Offers
@@ -61,6 +62,7 @@ class SessionMetrics:
     startup_requests: int  # up to those of the files of the first picture
     startup_bytes: int  # of the answers to them, with headers
     startup_table_bytes: int  # of them, those of tables
+    seek_s: float | None  # see `SessionLog.seek_s`
     stalls: int
     stall_s: float  # waited after the first picture
     stall_ratio: float  # of the time from the first picture to the last
@@ -72,6 +74,7 @@ class SessionMetrics:
     qoe: float | None  # dB a segment: quality - changes - STALL_DB a second of waiting
     bytes: Mapping[str, int]  # by FileKind, of files that were of use, without headers
     bytes_per_frame: float
+    bits_per_gaussian: float  # the same in bits, for each Gaussian that a frame shows; 0 where none is shown
     wire_bytes: int  # everything that passed, with headers
     wasted: float  # share of wire_bytes
     utilisation: float | None  # wire_bytes as a share of what could have passed; None over a real connection
@@ -146,6 +149,7 @@ class SessionLog:
         psnr = np.array([s.psnr for s in on_screen if s.psnr is not None])
         found = [offers.offer(s.segment).rungs[s.rung] for s in shown if s.rung is not None]
         seen = [offers.offer(s.segment).rungs[s.rung] for s in on_screen if s.psnr is not None and s.rung is not None]
+        drawn = sum(s.frames * offers.offer(s.segment).rungs[s.rung].gaussians for s in shown if s.rung is not None)
         quality = [s.psnr for s in shown if s.psnr is not None]
         changes = [abs(b - a) for a, b in itertools.pairwise(quality)]
         rungs = [s.rung for s in shown]
@@ -161,6 +165,7 @@ class SessionLog:
             startup_requests=sum(f.files + f.retries for f in first),
             startup_bytes=sum(f.bytes for f in first),
             startup_table_bytes=sum(f.bytes for f in first if f.kind is BatchKind.TABLES),
+            seek_s=self.seek_s,
             stalls=len(stalls),
             stall_s=stall,
             stall_ratio=stall / (played + stall),
@@ -172,6 +177,7 @@ class SessionLog:
             qoe=(sum(quality) - sum(changes) - STALL_DB * stall) / len(quality) if quality else None,
             bytes={kind.value: size for kind, size in self.bytes_by_kind.items()},
             bytes_per_frame=sum(self.bytes_by_kind.values()) / frames,
+            bits_per_gaussian=8 * sum(self.bytes_by_kind.values()) / drawn if drawn else 0.0,
             wire_bytes=wire,
             wasted=sum(f.wasted for f in fetches) / wire,
             utilisation=wire / max(1.0, link.bytes_between(0.0, end_s)) if link else None,
@@ -210,6 +216,23 @@ class SessionLog:
                 ticks += [(i - 1, self.shown[i - 1].frames - 1)] * round(entry.stall_s * self.offers.fps)
             ticks += [(i, frame) for frame in range(entry.frames)]
         return ticks
+
+    @property
+    def seek_s(self) -> float | None:
+        """Return the mean time to a picture of each segment that was shown, in its rung, by a viewer who goes there
+        then and has airgs.json alone: a round trip and tables, a round trip and files. Those that the trace ends before
+        do not count; None if none is left, and over a real connection.
+        """
+        took, offers, link = list[float](), self.offers, self.link
+        for shown in self.shown:
+            if link is None or shown.rung is None:
+                continue
+            at_s = shown.start_s
+            with suppress(TransportError):
+                for paths in offers.sought(shown.segment, shown.rung):
+                    at_s = link.arrival_s(offers.wire_bytes(paths), at_s + link.rtt_s)
+                took.append(at_s + self.settings.decode_frame_s - shown.start_s)
+        return float(np.mean(took)) if took else None
 
     @property
     def mean_quality(self) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError, FormatError
-from airgs_codec.package.layout import JSON_NAME
+from airgs_codec.package.layout import JSON_NAME, group_path
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package
 from airgs_codec.play.ladder import Option, saved_shares
@@ -177,6 +177,16 @@ class Offers:
 
     def _keyframe(self, keyframe: Keyframe, files: list[str]) -> KeyframeOffer:
         return KeyframeOffer(keyframe, tuple(files), self.wire_bytes(files))
+
+    def sought(self, segment: int, rung: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return the tables, then the other files that show a segment to a viewer who has airgs.json alone.
+
+        Raises FormatError where its tables cannot be had.
+        """
+        offer, places = self.offer(segment), self.manifest.groups.places
+        groups = [group for group in (offer.group, offer.base) if group is not None]
+        tables = [path for group in groups for path in (*places.pages_to("groups", group), group_path(group + 1))]
+        return tuple(dict.fromkeys(tables)), offer.missing(rung, NO_KEYFRAMES).files
 
     @property
     def rungs(self) -> list[tuple[int, int]]:

@@ -81,14 +81,15 @@ def _readable(log: SessionLog) -> dict[str, str]:
         "policy": log.policy,
         "trace": f"{link.trace.name}, mean {link.trace.mean_bps / 1e6:.2f} Mbit/s" if link else "a real connection",
         "played": f"{m.frames} frames, {m.played_s:.2f} s",
-        "start-up": f"{m.startup_s:.3f} s: {m.startup_requests} requests, {m.startup_bytes / 1e3:.1f} kB, "
+        "first picture": f"{m.startup_s:.3f} s: {m.startup_requests} requests, {m.startup_bytes / 1e3:.1f} kB, "
         f"{m.startup_table_bytes / 1e3:.1f} of them tables",
+        "a seek": cell(m.seek_s, "{:.3f} s to a picture of the rung that was shown, with nothing of its group".format),
         "stalls": f"{m.stalls}, {m.stall_s:.3f} s, {100 * m.stall_ratio:.2f} %",
         "PSNR on screen": quality or "not measured",
         "rungs": ", ".join(f"{name} x{count}" for name, count in m.rungs.items()),
         "Gaussians": f"at most {m.gaussians:,}" + ("" if budget is None else f" of a budget of {budget:,}"),
         "switches": f"{m.switches}, mean change {m.change_db:.2f} dB",
-        "fetched, kB": f"{fetched}; {m.bytes_per_frame / 1e3:.2f} a frame",
+        "fetched, kB": f"{fetched}; {m.bytes_per_frame / 1e3:.2f} a frame, {m.bits_per_gaussian:.2f} bits a Gaussian",
         "wire": f"{m.wire_bytes / 1e3:.1f} kB with headers{used}",
         "wasted": f"{100 * m.wasted:.1f} %: {m.replaced} replacements, {m.abandoned} abandoned",
         "ΔE on screen": cell(m.delta_e_mean, "mean {:.2f} (CIEDE2000; about 1 is just noticeable)".format),

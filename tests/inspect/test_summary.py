@@ -48,6 +48,22 @@ def test_rates_and_bytes_of_levels_rungs_and_kinds_count_everything_a_viewer_fet
     assert sum(kinds.values()) == m.bytes_of(m.rung_files(0, 0)) + MANIFESTS
 
 
+def test_bits_of_a_gaussian_and_what_must_come_before_a_picture_are_told():
+    summary = summarise(m := tiny_manifest(), MANIFESTS)
+    assert summary["bits_per_gaussian"] == pytest.approx(8 * (2 * 6300 + MANIFESTS) / (20 * 20))
+    top, lowest = summary["waits"]
+    assert (top["rung"], top["seek_s"]) == ("Q0 + L0", pytest.approx(8e-6 * (100 + 6300 + 6 * 350) / 50))
+    assert (lowest["rung"], lowest["seek_s"]) == ("Q1 + L2", pytest.approx(8e-6 * (100 + 2300 + 6 * 350) / 2))
+    assert format_summary(m, MANIFESTS).count("round trips aside") == 2
+    package = faces.open_package(VALID / "inter")
+    offers = faces.Offers.of(package)
+    tables, files = offers.sought(1, 0)
+    assert tables == ("group/2.json.gz", "group/1.json.gz") and "keyframe/T0/Q0/1.m4s" in files
+    first = offers.wire_bytes(("airgs.json", "group/1.json.gz", *package.manifest.rung_files(0, 0, [0])))
+    waits = summarise(package.manifest, package.manifest_bytes)["waits"]
+    assert waits[0]["first_s"] == pytest.approx(8e-6 * first / 50)
+
+
 def test_rows_that_a_group_keeps_are_counted():
     m = faces.open_package(VALID / "inter").manifest
     assert [group["base"] for group in summarise(m, MANIFESTS)["groups"]] == [None, 1, 1]

@@ -67,14 +67,18 @@ HAND = {  # name -> package, link, policy or rungs by turns, rules, and what com
         "sizes": [1000, 100, 6300, 100, 6300], "arrivals": [0.1, 0.11, 0.74, 0.75, 1.38], "starts": [0.74, 1.74],
         "startup_s": 0.74, "startup_requests": 1 + 1 + 5, "startup_table_bytes": 1100, "stalls": 0, "stall_s": 0,
         "switches": 0, "frames": 20, "bytes": {"manifests": 1200, "keyframe": 8000, "sidecars": 400, "delta": 4200},
-        "wire_bytes": 13_800, "psnr_mean": 40.0, "delta_e_mean": 0.5}),
+        "wire_bytes": 13_800, "psnr_mean": 40.0, "delta_e_mean": 0.5,
+        "seek_s": 0.01 + 0.63, "bits_per_gaussian": 8 * 13_800 / (20 * 20)}),
     # 20 frames, and 0.28 s of waiting at 10 fps with the picture that stood.
     "half the rate": (tiny_manifest(psnr=[[40.0, 0.0]] * 3), HALF, "fixed:0", {}, {
         "arrivals": [0.2, 0.22, 1.48, 1.5, 2.76], "waits": [0, 0.28], "ticks": [*range(10), 9, 9, 9, *range(10, 20)],
         "stall_ratio": 0.28 / 2.28, "qoe": (2 * 40 - STALL_DB * 0.28) / 2}),
     # A table is one file; a group has 2 tiers of 2 files and a delta.
     "headers, round trips and decoding": (TINY, link([8e4], rtt=0.1), "fixed:0",
-        {"decode_frame_s": 0.05, "headers": 100}, {"arrivals": [0.21, 0.33, 1.11, 1.23, 2.01], "starts": [1.16, 2.16]}),
+        {"decode_frame_s": 0.05, "headers": 100}, {"arrivals": [0.21, 0.33, 1.11, 1.23, 2.01], "starts": [1.16, 2.16],
+        "seek_s": 0.1 + 0.02 + 0.1 + 0.68 + 0.05}),
+    "seeks after the end of the trace do not count": (
+        TINY, link([8e4], [0], 1.385, end="error"), "fixed:0", {}, {"starts": [0.74, 1.74], "seek_s": 0.64}),
     "an empty level costs its keyframes": (tiny_manifest(delta_bytes=(2000, 1000, 0)), EVEN, "fixed:2", {},
         {"sizes": [1000, 100, 4200, 100, 4200], "bytes": {"manifests": 1200, "keyframe": 8000, "sidecars": 400}}),
     # The last level does with T0; rising in the middle of a group brings T1 along, once.
@@ -356,7 +360,7 @@ def test_figures_of_a_session_are_what_its_batches_and_segments_say():
     lost = [shown[0], replace(shown[1], rung=None, psnr=None, stall_s=1e-9)]  # s, which rounding may make
     m = replace(log, link=None, shown=lost).metrics
     assert m.rungs == {"Q1+L0": 1, "lost": 1} and (m.lost_frames, m.stalls, m.change_db) == (10, 0, 0.0)
-    assert m.utilisation is None
+    assert m.utilisation is None and m.seek_s is None
 
 
 @pytest.mark.parametrize("policy", ["fixed:0", *faces.NAMES])

@@ -28,7 +28,7 @@ from airgs_codec.scene.gaussians import SH_REST, Gaussians, logits_of, logs_of, 
 EXTENSION = "KHR_gaussian_splatting"
 _COLOURS = ("srgb_rec709_display", "BT.709")  # the second is of drafts
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _WIDTHS_OF = {"POSITION": 3, f"{EXTENSION}:ROTATION": 4, f"{EXTENSION}:SCALE": 3, f"{EXTENSION}:OPACITY": 1}
 _MOST_JSON = 1 << 24  # bytes
 _MOST_BYTES = 1 << 32  # of a .glb, whose length is a word of 32 bits
@@ -47,7 +47,7 @@ class _Placed(NamedTuple):
 
 
 def read_gltf_header(path: Path) -> FrameHeader:
-    document, _ = _open(path, only_json=True)
+    document, _ = open_gltf(path, only_json=True)
     return _header(document, list(_splats(document)))
 
 
@@ -56,14 +56,14 @@ def read_gltf(path: Path) -> Gaussians:
 
     Raises SceneError.
     """
-    document, chunk = _open(path)
+    document, chunk = open_gltf(path)
     primitives = list(_splats(document))
     degree = _header(document, primitives).sh_degree
     buffers = _buffers(path, document, chunk)
     return Gaussians.join([_read(document, buffers, p, degree) for p in primitives])
 
 
-def _open(path: Path, *, only_json: bool = False) -> tuple[Document, bytes]:
+def open_gltf(path: Path, *, only_json: bool = False) -> tuple[Document, bytes]:
     """Return the JSON and, unless only that is asked for, the binary chunk."""
     with path.open("rb") as file:
         head = file.read(20)
@@ -109,7 +109,7 @@ def _splats(document: Document) -> Iterator[_Placed]:
     seen = 0
     while waiting:
         node, above = waiting.pop()
-        matrix, below = above @ _local(node), node.get("children", ())
+        matrix, below = above @ local_matrix(node), node.get("children", ())
         primitives = document["meshes"][node["mesh"]]["primitives"] if "mesh" in node else ()
         if (seen := seen + len(below) + len(primitives)) > _MOST_NODES:
             raise ValueError(f"at most {_MOST_NODES} nodes and primitives")
@@ -121,7 +121,8 @@ def _splats(document: Document) -> Iterator[_Placed]:
                 yield _placed(primitive["attributes"], found, matrix)
 
 
-def _local(node: dict[str, Any]) -> NDArray[np.float64]:
+def local_matrix(node: dict[str, Any]) -> NDArray[np.float64]:
+    """Return the (4, 4) transform from a node to the one that it belongs to."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     turn, scale = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1))), np.array(node.get("scale", (1, 1, 1)), float)
@@ -165,7 +166,7 @@ def _buffer(path: Path, uri: str) -> bytes:
         raise SceneError(f"{path}: expected its buffer {name[:80]} in its folder: {error.strerror}") from error
 
 
-def _column(document: Document, buffers: list[bytes], accessor: int, width: int) -> NDArray[np.float32]:
+def read_accessor(document: Document, buffers: list[bytes], accessor: int, width: int) -> NDArray[np.float32]:
     """Return (N, width) of an accessor; integers are divided by their largest where they are normalised."""
     a = document["accessors"][accessor]
     if "sparse" in a or _WIDTHS.get(a["type"]) != width:
@@ -186,7 +187,7 @@ def _column(document: Document, buffers: list[bytes], accessor: int, width: int)
 
 def _read(document: Document, buffers: list[bytes], primitive: _Placed, degree: int) -> Gaussians:
     widths = _WIDTHS_OF | dict.fromkeys(_harmonics(degree), 3)
-    columns = [_column(document, buffers, primitive.attributes[name], width) for name, width in widths.items()]
+    columns = [read_accessor(document, buffers, primitive.attributes[name], width) for name, width in widths.items()]
     means, rotations, scales, alpha, dc, *rest = columns
     if {*map(len, columns)} != {len(means)}:
         raise ValueError(f"{len(means)} rows of every attribute")

@@ -83,7 +83,6 @@ NAMES = tuple(question.name for question in QUESTIONS)
 
 WIDTH, HEIGHT = 6.0, 3.7  # inches of a scene's axes
 FEW_TICKS = 5
-LESS = 0.75  # of the time of a setting is less time, and its inverse is more
 HOW = (
     f"The setting to take is the cheapest that is nearly as good as the best. Seconds are the CPU's, medians of "
     f"{REPEATS} runs; bars reach from quartile to quartile. PSNR is from views that decided nothing; QoE is the mean "

@@ -39,6 +39,7 @@ class Options(Measured):
     frames: int = setting(6, "frames measured")
     targets: tuple[float, ...] = setting((47.0, 45.5, 44.0, 42.5, 41.0, 39.5), "PSNR of our packages, dB")
     at: float = setting(43.0, "dB at which bytes are compared")
+    only: tuple[str, ...] = setting((), "formats that are measured", default="all")
     splat_transform: str = setting("", "a command such as 'splat-transform -g cpu'")
     splat4d: str = setting("", "the program of the PyPI package splats4d")
     fourdgs: str = setting("", "python of an environment with the PyPI package fourdgs")
@@ -47,7 +48,8 @@ class Options(Measured):
 def run(options: Options, lab: Lab) -> Page:
     sequence, cameras = options.open()
     subject = open_subject(sequence, cameras, options.frames, options.views)
-    points = list(measure(subject, trials(options), lab))
+    chosen = (trial for trial in trials(options) if not options.only or format_of(trial.coder) in options.only)
+    points = list(measure(subject, chosen, lab))
     name = options.sequence.resolve().name
     title = f"{name}: {len(sequence)} frames"
     picture = PagePicture(f"rd-{name}", title, partial(draw, points, title), (9, 5.5))
@@ -149,15 +151,8 @@ def draw(points: Sequence[RdPoint], title: str, figure: Figure) -> None:
     for coder, curve in curves(points).items():
         style = next((line for words, line in STYLES.items() if coder.endswith(words)), "-")
         x, y = [p.kb_per_frame for p in curve], [p.psnr for p in curve]
-        axis.plot(
-            x,
-            y,
-            f"o{style}",
-            color=colours[family[coder]],
-            label=coder,
-            linewidth=2.5 if coder == OURS else 1.3,
-            markersize=4,
-        )
+        width = 2.5 if coder == OURS else 1.3
+        axis.plot(x, y, f"o{style}", color=colours[family[coder]], label=coder, linewidth=width, markersize=4)
     axis.set(xlabel="kB a frame, everything fetched", ylabel="PSNR, dB (against renderings of the input)", title=title)
     axis.set_xscale("log")
     sizes = [p.kb_per_frame for p in points]

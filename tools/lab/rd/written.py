@@ -100,15 +100,8 @@ def _spz(bits: int, subject: Subject) -> Coded:
         path = Path(folder) / "frame.spz"
         for number in range(len(subject.sequence)):
             g = subject.frame(number)
-            columns = (
-                g.means,
-                g.log_scales,
-                g.quaternions,
-                g.opacity_logits,
-                g.sh_dc,
-                g.sh_rest if g.sh_degree else None,
-            )
-            data = GSData.from_arrays(*columns, format="ply")
+            sh = g.sh_dc, g.sh_rest if g.sh_degree else None
+            data = GSData.from_arrays(g.means, g.log_scales, g.quaternions, g.opacity_logits, *sh, format="ply")
             encode_s += seconds_of(partial(write_spz, path, data, version=3, fractional_bits=bits))[0].wall
             size += path.stat().st_size
             if number in subject.measured:
