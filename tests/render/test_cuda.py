@@ -117,7 +117,8 @@ def test_pictures_and_rows_left_out_are_those_of_the_cpu_and_an_empty_scene_is_i
     assert len(contribution.total) == 0 and gradients.sh.shape == (0, 4, 3)
 
 
-def test_cameras_of_equal_shapes_are_drawn_in_one_call_and_absolute_gradients_are_their_sum(monkeypatch):
+@pytest.mark.parametrize("version", ["1.5.3", "1.6"])
+def test_cameras_of_equal_shapes_are_drawn_in_one_call_and_absolute_gradients_are_their_sum(monkeypatch, version):
     inputs = RasterInputs(*(torch.tensor(c).requires_grad_() for c in CPU.load(random_gaussians(90)).inputs))
     cameras = [replace(c, background=(0.1 * i, 0.5, 0.2)) for i, c in enumerate(ring(3, size=40))]
     ones, together = [AbsGrad() for _ in cameras], AbsGrad()
@@ -125,7 +126,7 @@ def test_cameras_of_equal_shapes_are_drawn_in_one_call_and_absolute_gradients_ar
         cuda.rasterize(inputs, [c], one)[0].square().sum().backward()
     pictures, left = cuda.rasterize(inputs, cameras, together)
     pictures.square().sum().backward()
-    fake_gsplat.install(monkeypatch)
+    fake_gsplat.install(monkeypatch, version)
     for drawn, other in zip((pictures, left), cuda.rasterize(inputs, cameras), strict=True):
         torch.testing.assert_close(drawn, other)
     gradients, seen = together.read()
