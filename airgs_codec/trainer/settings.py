@@ -14,7 +14,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.scene.camera import BLACK, Background
 from airgs_codec.scene.gaussians import SH_REST
 
-FIRST, FIRST_A_VIEW = 2500, 60  # iterations of a first frame: the larger of both; 97 photos had not settled at 2500
+FIRST, FIRST_A_VIEW = 1500, 36  # iterations of a first frame: the larger of both
 LEAST_BUDGET, MOST_BUDGET = 8_000, 64_000  # Gaussians of a first frame, where its pictures decide
 DELTAS = ("direct", "mlp", "mlp+residual")
 DELTAS_WORDS = "direct; mlp+residual on CUDA"

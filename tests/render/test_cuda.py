@@ -142,14 +142,15 @@ class Operators(TorchDispatchMode):
         return func(*args, **(kwargs or {}))
 
 
-@pytest.mark.parametrize("weight", [0.0, 1e-6])
-def test_a_fit_by_gsplat_is_that_of_the_cpu_and_an_iteration_of_four_pictures_takes_few_operators(monkeypatch, weight):
+@pytest.mark.parametrize("weights", [{}, {"temporal": 1e-6}, {"opacity_weight": 0.003, "scale_weight": 0.1}])
+def test_a_fit_by_gsplat_is_that_of_the_cpu_and_an_iteration_of_four_pictures_takes_few_operators(monkeypatch, weights):
     """On a GPU a launch takes longer than most kernels. Each call of gsplat counts as one operator."""
     base, views = from_gaussians(random_gaussians(100, 1)), views_of(random_gaussians(100, 1, seed=1), ring(6))
-    temporal = {name: torch.full_like(p, weight) for name, p in base.items()} if weight else None
+    if "temporal" in weights:
+        weights = {"temporal": {name: torch.full_like(p, weights["temporal"]) for name, p in base.items()}}
 
     def fit(iterations):
-        variables = PerGaussian(base, 5.0, temporal=temporal)
+        variables = PerGaussian(base, 5.0, **weights)
         with Operators() as seen:
             optimise(variables, views, Schedule("fit", iterations, lambda _: 1, views=4), np.random.default_rng(0))
         return variables.detached(), seen.count

@@ -1,4 +1,4 @@
-"""A stand-in for gsplat 1.5.3 or 1.6 on the CPU: what the adapter calls, with gsplat's shapes, made by the CPU renderer.
+"""A stand-in for gsplat 1.5.3 or 1.6: what the adapter calls, with gsplat's shapes, made by the CPU renderer.
 
 C cameras, N Gaussians.
 """
