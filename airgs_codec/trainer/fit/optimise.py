@@ -54,14 +54,10 @@ class Adam:
     """Adam (Kingma and Ba 2015) over named tensors whose rows may come and go."""
 
     def __init__(
-        self,
-        parameters: Parameters,
-        rates: Mapping[str, float],
-        epsilon: float = EPSILON,
-        betas: tuple[float, float] = BETAS,
+        self, parameters: Parameters, rates: Mapping[str, float], epsilon: float = EPSILON, second: float = BETAS[1]
     ) -> None:
         """`parameters` are copied and made leaves; `rates` may be changed between steps through `self.rates`."""
-        self._epsilon, self._betas, self.rates, self._steps = epsilon, betas, dict(rates), 0
+        self._epsilon, self._betas, self.rates, self._steps = epsilon, (BETAS[0], second), dict(rates), 0
         self.parameters = {name: p.detach().clone().requires_grad_(True) for name, p in parameters.items()}
         self.moments = zeros_like(parameters), zeros_like(parameters)
 
@@ -183,8 +179,8 @@ class PerGaussian:
 
     def __post_init__(self) -> None:
         self._generator = torch.Generator().manual_seed(self.seed)
-        start, betas = self.start or zeros_like(self.base), (BETAS[0], self.rates.second)
-        self.adam = Adam(start, self.rates.at(0.0, self.extent), betas=betas)
+        start, rates = self.start or zeros_like(self.base), self.rates.at(0.0, self.extent)
+        self.adam = Adam(start, rates, second=self.rates.second)
 
     def current(self, after: float = 0.0) -> Parameters:
         """Return the Gaussians as they are now, base + D, differentiable by D, with those at rest.
@@ -215,7 +211,10 @@ class PerGaussian:
         self._absgrad = AbsGrad() if self.densifier else None
         return self._absgrad
 
-    def penalty(self) -> float:
+    def penalty(self) -> torch.Tensor | float:
+        """Return the added opacity that `current` gave last: L_inf = max(0, N - U), in its place, has no gradient."""
+        if self.inflation and len(self.base["means"]) > self.fixed:
+            return self.inflation * self._drawn["opacity_logits"][self.fixed :].sigmoid().sum()
         return 0.0
 
     def step(self, iteration: int, iterations: int) -> None:
@@ -254,19 +253,12 @@ class PerGaussian:
 
     @torch.no_grad()
     def _regularise(self) -> None:
-        """Add the gradients of the regularisers, at what `current` gave last, to those of the pictures.
-
-        In place of L_inf = max(0, N - U), which has no gradient, acts the added opacity.
-        """
-        rows, gradients = len(self.base["means"]), {name: p.grad for name, p in self.adam.parameters.items()}
-        by_logits, by_sizes = gradients["opacity_logits"], gradients["log_scales"]
-        assert by_logits is not None and by_sizes is not None  # every picture gives both
-        if self.opacity_weight or self.inflation:
+        """Add the gradients of mean opacity and scale, at what `current` gave last, to those of the loss."""
+        rows, difference = len(self.base["means"]), self.adam.parameters
+        if self.opacity_weight and (by_logits := difference["opacity_logits"].grad) is not None:
             alpha = self._drawn["opacity_logits"].sigmoid()
-            slope = alpha * (1 - alpha)
-            by_logits.add_(slope, alpha=self.opacity_weight / rows)
-            by_logits[self.fixed :].add_(slope[self.fixed :], alpha=self.inflation)
-        if self.scale_weight:
+            by_logits.addcmul_(alpha, 1 - alpha, value=self.opacity_weight / rows)
+        if self.scale_weight and (by_sizes := difference["log_scales"].grad) is not None:
             by_sizes.add_(self._drawn["log_scales"].exp(), alpha=self.scale_weight / (self.extent * 3 * rows))
 
     def _move(self) -> None:
@@ -320,9 +312,9 @@ class Networks(torch.nn.Module):
         `extent`: of the scene in world units.
         """
         super().__init__()
-        self.shapes = {name: p.shape[1:] for name in GAUSSIAN_FIELDS if (p := like[name])[0].numel()}
-        self.widths, self.extent = [shape.numel() for shape in self.shapes.values()], extent
-        features, count, draw = self._encode(like), len(self.shapes), torch.Generator().manual_seed(seed)
+        self.names, self.extent = [name for name in GAUSSIAN_FIELDS if like[name][0].numel()], extent
+        self.shapes = [like[name].shape[1:] for name in self.names]
+        features, count, draw = self._encode(like), len(self.names), torch.Generator().manual_seed(seed)
 
         def layer(rows: int) -> torch.nn.Parameter:
             return torch.nn.Parameter(torch.randn(count, rows, HIDDEN_WIDTH, generator=draw) * math.sqrt(2 / rows))
@@ -334,8 +326,8 @@ class Networks(torch.nn.Module):
         self.register_buffer("spread", features.std(dim=0) + 1e-4)  # a constant feature: 0, not 0 / 0
         self.first, self.second = layer(features.shape[1]), layer(HIDDEN_WIDTH)
         self.first_bias, self.second_bias = zeros(count, 1, HIDDEN_WIDTH), zeros(count, 1, HIDDEN_WIDTH)
-        self.last = zeros(count, HIDDEN_WIDTH, max(self.widths))
-        scales = [SCALES[name] * (extent if name == "means" else 1) for name in self.shapes]
+        self.last = zeros(count, HIDDEN_WIDTH, max(shape.numel() for shape in self.shapes))
+        scales = [SCALES[name] * (extent if name == "means" else 1) for name in self.names]
         self.register_buffer("scales", torch.tensor(scales)[:, None, None], persistent=False)
 
     def features(self, p: Mapping[str, torch.Tensor]) -> torch.Tensor:
@@ -349,19 +341,18 @@ class Networks(torch.nn.Module):
 
     def padded(self, p: Parameters) -> torch.Tensor:
         """Return the attributes one after another, as wide as the widest, with zeros at the ends of rows."""
-        widest, pairs = max(self.widths), zip(self.shapes, self.widths, strict=True)
-        pad = torch.nn.functional.pad
-        return torch.stack([pad(p[name].reshape(len(p[name]), -1), (0, widest - width)) for name, width in pairs])
+        flat, widest = [p[name].reshape(len(p[name]), -1) for name in self.names], self.last.shape[2]
+        return torch.stack([torch.nn.functional.pad(one, (0, widest - one.shape[1])) for one in flat])
 
     def attributes(self, padded: torch.Tensor) -> Parameters:
         """Inverse of `padded`."""
-        rows = zip(self.shapes.items(), self.widths, padded.unbind(), strict=True)
-        return {name: values[:, :width].reshape(len(values), *shape) for (name, shape), width, values in rows}
+        parts = zip(self.names, self.shapes, padded.unbind(), strict=True)
+        return {name: part[:, : shape.numel()].reshape(len(part), *shape) for name, shape, part in parts}
 
     def _encode(self, p: Mapping[str, torch.Tensor]) -> torch.Tensor:
         x = p["means"] / self.extent  # five octaves of the positional encoding (NeRF, Mildenhall et al. 2020, eq. 4)
         waves = [wave(x * 2**k * math.pi) for k in range(5) for wave in (torch.sin, torch.cos)]
-        others = [p[name].reshape(len(x), -1) for name in self.shapes if name != "means"]
+        others = [p[name].reshape(len(x), -1) for name in self.names if name != "means"]
         return torch.cat([x, *waves, *others], dim=1)
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -606,12 +597,7 @@ def kept_halves(views: Sequence[View]) -> list[View]:
     """Return views at half their size, which are made once if memory allows."""
     halves = [halve(view) for view in views]
     targets = Recent[int, TargetPicture](lambda i: halves[i].target, TARGET_BYTES // 4)
-    rests = Recent[int, Render](lambda i: halves[i].redraw.rest(), TARGET_BYTES // 4)  # type: ignore[union-attr]
-    kept = []
-    for i, half in enumerate(halves):
-        redraw = half.redraw and replace(half.redraw, rest=partial(rests.get, i))
-        kept.append(replace(half, picture=partial(targets.get, i), redraw=redraw))
-    return kept
+    return [replace(half, picture=partial(targets.get, i)) for i, half in enumerate(halves)]
 
 
 def any_in_blocks(mask: NDArray[np.bool_], side: int, shape: tuple[int, int]) -> NDArray[np.bool_]:
