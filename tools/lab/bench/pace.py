@@ -50,7 +50,8 @@ def run(options: Options, lab: Lab) -> Page:
         alike = [row for row in rows if (row["scene"], row["phase"]) == (one["scene"], one["phase"])]
         wanted = next(row["held-out, dB"] for row in alike if row["effort"] == one["effort"])
         curve = sorted((row["held-out, dB"], row["CPU, s"]) for row in alike if row["tree"] == one["tree"])
-        one["the same, s"] = float(np.interp(wanted, *zip(*curve, strict=True), right=np.nan))
+        levels, seconds_of = np.array(curve).T
+        one["the same, s"] = float(np.interp(wanted, levels, seconds_of, right=np.nan))
     words = [f"{row['tree']}, {row['scene']}, {row['phase']}: {row['CPU, s']:.1f} s" for row in rows]
     return Page([Section("; ".join(words) + ".", tables=[Table("pace", rows)])])
 
