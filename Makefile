@@ -87,10 +87,12 @@ mutants: .venv/installed
 .venv/gpu: .venv/installed
 	$(BIN)/pip install --quiet --editable '.[cuda]'
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -c "import sys; from airgs_codec.render.cuda import missing; sys.exit(missing())"
+	-$(BIN)/pytest tests/render/test_cuda.py  # compiles the CPU's kernels
 	touch $@
 
 # Nine minutes in all: one for the tests of gsplat, eight for fits, encodes and what must be equal; the table of all is
 # build/lab/devices/devices.md. `make gpu SCENE=DIR` takes a scene of your own besides the fox.
+gpu: export PATH := $(CURDIR)/$(BIN):$(PATH)
 gpu: .venv/gpu
 	-timeout 60 $(BIN)/pytest -rs tests/render/test_cuda.py
 	$(BIN)/python -m tools.lab devices $(VIEWS) $(SCENE)

@@ -1,4 +1,4 @@
-"""Drawing with torch, with gradients: the CPU kernels, or gsplat 1.5 for tensors on a CUDA device.
+"""Drawing with torch, with gradients: the CPU kernels, or gsplat 1.5 or 1.6 for tensors on a CUDA device.
 
 gsplat imports without its kernels and fails later, so `missing` looks for them. It waits for the device once a call,
 for the number of pairs; nothing else here waits. C cameras, N Gaussians, H x W pixels.
@@ -120,17 +120,19 @@ def rasterize(
     if not by_gsplat(inputs.means):
         pictures: Pictures = _Rasterize.apply(*inputs, cameras, absgrad, redraws)
         return pictures
-    from gsplat import rasterization, spherical_harmonics
+    import gsplat
 
     first, each = cameras[0], (_on_device(camera, inputs.means.device) for camera in cameras)
     views, lenses, places, backgrounds = (torch.stack(of) for of in zip(*each, strict=True))
-    # What gsplat makes of SH by itself inverts the matrices of the cameras at every call, and waits for that.
-    towards = inputs.means - places[:, None]
-    sh = inputs.sh.expand(len(cameras), -1, -1, -1)
-    colours = (spherical_harmonics(inputs.sh_degree, towards, sh, masks=towards.any(dim=-1)) + 0.5).relu()
+    if hasattr(gsplat, "spherical_harmonics_l0"):  # gsplat 1.6
+        values = gsplat.spherical_harmonics(inputs.sh_degree, inputs.means, views, inputs.sh)
+    else:  # what 1.5 makes of SH by itself inverts the matrices of the cameras at every call, and waits for that
+        towards, sh = inputs.means - places[:, None], inputs.sh.expand(len(cameras), -1, -1, -1)
+        values = gsplat.spherical_harmonics(inputs.sh_degree, towards, sh, masks=towards.any(dim=-1))
+    colours = (values + 0.5).relu()
     size, planes = (first.width, first.height), {"near_plane": first.near, "far_plane": FAR_PLANE}
     more = {"eps2d": DILATION, "packed": False, "backgrounds": backgrounds, "absgrad": absgrad is not None}
-    rgb, alpha, meta = rasterization(*inputs[:4], colours, views, lenses, *size, **planes, **more)
+    rgb, alpha, meta = gsplat.rasterization(*inputs[:4], colours, views, lenses, *size, **planes, **more)
     if absgrad is not None:
         projected, radii = meta["means2d"], meta["radii"]
         projected.retain_grad()  # gsplat and torch leave gradients on the projected means

@@ -93,4 +93,4 @@ def default_settings(device: str) -> TrainSettings:
     """Return the settings of a run on cpu or cuda unless others are named."""
     if device == "cpu":
         return TrainSettings()
-    return TrainSettings(deltas="mlp+residual", iteration_views=CUDA_VIEWS)
+    return TrainSettings(deltas="mlp+residual", frame_iterations=300, iteration_views=CUDA_VIEWS)

@@ -30,7 +30,7 @@ from airgs_codec.trainer.settings import OFF, TrainSettings
 
 First = tuple[Gaussians, Exposure]  # the first frame of a run, which all chunks start from
 Contents = Mapping[Path | int, str]  # SHA-256 of each file that shows a picture, or frame that is drawn
-JOB_VERSION = 1  # of what jobs make of the same pictures and settings: stored results of others are made again
+JOB_VERSION = 2  # of what jobs make of the same pictures and settings: stored results of others are made again
 
 
 @dataclass(frozen=True, slots=True, eq=False)

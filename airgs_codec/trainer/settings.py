@@ -14,7 +14,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.scene.camera import BLACK, Background
 from airgs_codec.scene.gaussians import SH_REST
 
-FIRST, FIRST_A_VIEW = 2500, 60  # iterations of a first frame: the larger of both; 97 photos had not settled at 2500
+FIRST, FIRST_A_VIEW = 1500, 36  # iterations of a first frame: the larger of both
 LEAST_BUDGET, MOST_BUDGET = 8_000, 64_000  # Gaussians of a first frame, where its pictures decide
 DELTAS = ("direct", "mlp", "mlp+residual")
 DELTAS_WORDS = "direct; mlp+residual on CUDA"
@@ -57,12 +57,14 @@ class TrainSettings:
         None, f"iterations of the first frame; None: {FIRST}, at least {FIRST_A_VIEW} a view", default=FIRST
     )
     keyframe_iterations: int = setting(1000, "iterations of a keyframe")
-    frame_iterations: int = setting(300, "iterations of a frame in a group")
+    frame_iterations: int = setting(200, "iterations of a frame in a group")
     iteration_views: int = setting(1, "pictures that an iteration sees", default="1; 4 on CUDA")
     deltas: str = setting(
         DELTAS[0], "how frames move: Gaussian by Gaussian, by six MLPs, or both", choices=DELTAS, default=DELTAS_WORDS
     )
-    coarse: float = setting(0.4, "share of a frame's iterations, the first ones, that see pictures of half the size")
+    coarse: float = setting(
+        0.6, "share of iterations, the first ones, that see pictures of half the size; 0.4 times it in a first frame"
+    )
     ssim_weight: float = setting(0.4, "share of 1 - SSIM in the loss of a picture; the rest is the absolute difference")
     regularised: bool = setting(True, "weigh opacity and scale in the loss of a first frame, so that space stays empty")
     group_frames: int | None = setting(

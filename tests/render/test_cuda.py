@@ -117,7 +117,8 @@ def test_pictures_and_rows_left_out_are_those_of_the_cpu_and_an_empty_scene_is_i
     assert len(contribution.total) == 0 and gradients.sh.shape == (0, 4, 3)
 
 
-def test_cameras_of_equal_shapes_are_drawn_in_one_call_and_absolute_gradients_are_their_sum(monkeypatch):
+@pytest.mark.parametrize("version", ["1.5.3", "1.6"])
+def test_cameras_of_equal_shapes_are_drawn_in_one_call_and_absolute_gradients_are_their_sum(monkeypatch, version):
     inputs = RasterInputs(*(torch.tensor(c).requires_grad_() for c in CPU.load(random_gaussians(90)).inputs))
     cameras = [replace(c, background=(0.1 * i, 0.5, 0.2)) for i, c in enumerate(ring(3, size=40))]
     ones, together = [AbsGrad() for _ in cameras], AbsGrad()
@@ -125,7 +126,7 @@ def test_cameras_of_equal_shapes_are_drawn_in_one_call_and_absolute_gradients_ar
         cuda.rasterize(inputs, [c], one)[0].square().sum().backward()
     pictures, left = cuda.rasterize(inputs, cameras, together)
     pictures.square().sum().backward()
-    fake_gsplat.install(monkeypatch)
+    fake_gsplat.install(monkeypatch, version)
     for drawn, other in zip((pictures, left), cuda.rasterize(inputs, cameras), strict=True):
         torch.testing.assert_close(drawn, other)
     gradients, seen = together.read()
@@ -141,14 +142,15 @@ class Operators(TorchDispatchMode):
         return func(*args, **(kwargs or {}))
 
 
-@pytest.mark.parametrize("weight", [0.0, 1e-6])
-def test_a_fit_by_gsplat_is_that_of_the_cpu_and_an_iteration_of_four_pictures_takes_few_operators(monkeypatch, weight):
+@pytest.mark.parametrize("weights", [{}, {"temporal": 1e-6}, {"opacity_weight": 0.003, "scale_weight": 0.1}])
+def test_a_fit_by_gsplat_is_that_of_the_cpu_and_an_iteration_of_four_pictures_takes_few_operators(monkeypatch, weights):
     """On a GPU a launch takes longer than most kernels. Each call of gsplat counts as one operator."""
     base, views = from_gaussians(random_gaussians(100, 1)), views_of(random_gaussians(100, 1, seed=1), ring(6))
-    temporal = {name: torch.full_like(p, weight) for name, p in base.items()} if weight else None
+    if "temporal" in weights:
+        weights = {"temporal": {name: torch.full_like(p, weights["temporal"]) for name, p in base.items()}}
 
     def fit(iterations):
-        variables = PerGaussian(base, 5.0, temporal=temporal)
+        variables = PerGaussian(base, 5.0, **weights)
         with Operators() as seen:
             optimise(variables, views, Schedule("fit", iterations, lambda _: 1, views=4), np.random.default_rng(0))
         return variables.detached(), seen.count

@@ -1,4 +1,4 @@
-"""A stand-in for gsplat 1.5.3 on the CPU: what the adapter calls, with gsplat's shapes, made by the CPU renderer.
+"""A stand-in for gsplat 1.5.3 or 1.6: what the adapter calls, with gsplat's shapes, made by the CPU renderer.
 
 C cameras, N Gaussians.
 """
@@ -40,6 +40,15 @@ def spherical_harmonics(degree: int, dirs: torch.Tensor, coeffs: torch.Tensor, m
     return Kernel.apply(lambda to, sh: (sh_values(unit(to, dim=-1), sh) * masks[..., None],), dirs, coeffs)[0]
 
 
+def spherical_harmonics_of_views(
+    degree: int, means: torch.Tensor, viewmats: torch.Tensor, coeffs: torch.Tensor
+) -> torch.Tensor:
+    """gsplat 1.6's, of means (N, 3), matrices (C, 4, 4) and coefficients (N, K, 3)."""
+    towards = means - torch.linalg.inv(viewmats.detach())[:, None, :3, 3]
+    sh = coeffs.expand(len(viewmats), -1, -1, -1)
+    return spherical_harmonics(degree, towards, sh, torch.ones(towards.shape[:2], dtype=torch.bool))
+
+
 def rasterization(
     *tensors: Any, near_plane: float, far_plane: float, eps2d: float, packed: bool, backgrounds: Any, absgrad: bool
 ) -> tuple[torch.Tensor, torch.Tensor, dict[str, Any]]:
@@ -62,9 +71,11 @@ def rasterization(
     return *Kernel.apply(draw, *inputs), {}
 
 
-def install(monkeypatch: pytest.MonkeyPatch) -> None:
+def install(monkeypatch: pytest.MonkeyPatch, version: str = "1.5.3") -> None:
     """Make it what `import gsplat` finds, and tensors of the CPU what it draws, until the test ends."""
     module: Any = types.ModuleType("gsplat")
     module.rasterization, module.spherical_harmonics = rasterization, spherical_harmonics
+    if version == "1.6":
+        module.spherical_harmonics, module.spherical_harmonics_l0 = spherical_harmonics_of_views, None
     monkeypatch.setitem(sys.modules, "gsplat", module)
     monkeypatch.setattr(cuda, "by_gsplat", lambda tensor: True)

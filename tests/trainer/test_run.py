@@ -223,7 +223,7 @@ def test_settings_come_back_from_their_table(name):
 
 
 def test_a_first_frame_sees_every_view_often():
-    for settings, expected in ((TrainSettings(), [2500, 5040]), (TrainSettings(first_iterations=7), [7, 7])):
+    for settings, expected in ((TrainSettings(), [1500, 3024]), (TrainSettings(first_iterations=7), [7, 7])):
         assert [settings.iterations_from_scratch(views) for views in (16, 84)] == expected
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import islice
 from typing import Any, Protocol
 
@@ -29,7 +29,7 @@ from airgs_codec.render.cpu import TILE, Render
 from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.camera import with_pixels
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.trainer.data.pictures import TargetPicture, View
+from airgs_codec.trainer.data.pictures import TARGET_BYTES, Recent, TargetPicture, View
 from airgs_codec.trainer.fit.grow import CHECKS, Densifier, is_visible
 from airgs_codec.trainer.fit.losses import (
     GAUSSIAN_FIELDS,
@@ -53,9 +53,11 @@ EPSILON = 1e-12
 class Adam:
     """Adam (Kingma and Ba 2015) over named tensors whose rows may come and go."""
 
-    def __init__(self, parameters: Parameters, rates: Mapping[str, float], epsilon: float = EPSILON) -> None:
+    def __init__(
+        self, parameters: Parameters, rates: Mapping[str, float], epsilon: float = EPSILON, second: float = BETAS[1]
+    ) -> None:
         """`parameters` are copied and made leaves; `rates` may be changed between steps through `self.rates`."""
-        self._epsilon, self.rates, self._steps = epsilon, dict(rates), 0
+        self._epsilon, self._betas, self.rates, self._steps = epsilon, (BETAS[0], second), dict(rates), 0
         self.parameters = {name: p.detach().clone().requires_grad_(True) for name, p in parameters.items()}
         self.moments = zeros_like(parameters), zeros_like(parameters)
 
@@ -67,14 +69,14 @@ class Adam:
         metric: values that no picture asks for become exactly 0.
         """
         self._steps += 1
-        bias = [1 - beta**self._steps for beta in BETAS]
+        bias = [1 - beta**self._steps for beta in self._betas]
         names = [name for name, p in self.parameters.items() if p.grad is not None]
         moved, first, second = ([of[n] for n in names] for of in (self.parameters, *self.moments))
         gradients: list[Any] = [p.grad for p in moved]
         rates = [self.rates[name] for name in names]
-        torch._foreach_lerp_(first, gradients, 1 - BETAS[0])
-        torch._foreach_mul_(second, BETAS[1])
-        torch._foreach_addcmul_(second, gradients, gradients, 1 - BETAS[1])
+        torch._foreach_lerp_(first, gradients, 1 - self._betas[0])
+        torch._foreach_mul_(second, self._betas[1])
+        torch._foreach_addcmul_(second, gradients, gradients, 1 - self._betas[1])
         scale = torch._foreach_div(second, bias[1])
         torch._foreach_sqrt_(scale)
         torch._foreach_add_(scale, self._epsilon)
@@ -82,8 +84,8 @@ class Adam:
         if shrink:
             weights = [shrink[n] if n in shrink else torch.zeros_like(self.parameters[n]) for n in names]
             threshold = torch._foreach_div(torch._foreach_mul(weights, rates), scale)
-            size = torch._foreach_clamp_min(torch._foreach_sub(torch._foreach_abs(moved), threshold), 0)
-            torch._foreach_copy_(moved, torch._foreach_mul(torch._foreach_sign(moved), size))
+            within = torch._foreach_maximum(moved, torch._foreach_neg(threshold))
+            torch._foreach_sub_(moved, torch._foreach_minimum(within, threshold))
         for p in moved:
             p.grad = None
 
@@ -111,11 +113,14 @@ class Rates:
     factor: float = 3.0
     means: float = 1.0  # a further factor, for means
     last: float = 1.0  # share of the rate at the end
-    means_last: float = 0.01  # the same for means
+    means_last: float = 0.01  # the same for means, from the start
+    late: float = 0.0  # share of the iterations after which the others decay
+    second: float = BETAS[1]  # decay of Adam's second moments
 
     def at(self, done: float, extent: float) -> dict[str, float]:
         """Return the rates when a share `done` of the iterations is past, in a scene of `extent` world units."""
-        rates = {name: rate * self.factor * self.last**done for name, rate in RATES.items()}
+        decay = self.last ** max(0.0, (done - self.late) / (1 - self.late))
+        rates = {name: rate * self.factor * decay for name, rate in RATES.items()}
         rates["means"] = RATES["means"] * self.factor * self.means * self.means_last**done * extent
         rates[MOTION] = rates["means"]
         return rates
@@ -174,7 +179,8 @@ class PerGaussian:
 
     def __post_init__(self) -> None:
         self._generator = torch.Generator().manual_seed(self.seed)
-        self.adam = Adam(self.start or zeros_like(self.base), self.rates.at(0.0, self.extent))
+        start, rates = self.start or zeros_like(self.base), self.rates.at(0.0, self.extent)
+        self.adam = Adam(start, rates, second=self.rates.second)
 
     def current(self, after: float = 0.0) -> Parameters:
         """Return the Gaussians as they are now, base + D, differentiable by D, with those at rest.
@@ -206,24 +212,17 @@ class PerGaussian:
         return self._absgrad
 
     def penalty(self) -> torch.Tensor | float:
-        """Return the regularisers of what `current` gave last.
-
-        In place of L_inf = max(0, N - U), which has no gradient, acts the added opacity.
-        """
-        total: torch.Tensor | float = 0.0
-        if self.opacity_weight:
-            total = total + self.opacity_weight * self._drawn["opacity_logits"].sigmoid().mean()
+        """Return the added opacity that `current` gave last: L_inf = max(0, N - U), in its place, has no gradient."""
         if self.inflation and len(self.base["means"]) > self.fixed:
-            total = total + self.inflation * self._drawn["opacity_logits"][self.fixed :].sigmoid().sum()
-        if self.scale_weight:
-            total = total + self.scale_weight / self.extent * self._drawn["log_scales"].exp().mean()
-        return total
+            return self.inflation * self._drawn["opacity_logits"][self.fixed :].sigmoid().sum()
+        return 0.0
 
     def step(self, iteration: int, iterations: int) -> None:
         """Move along the gradients, then add and remove rows where due. Raises TrainingError where no row is left."""
         if self.densifier and self._absgrad:
             self.densifier.collect(self._absgrad, self.resting.picked if self.resting else None)
         self._done = iteration / iterations
+        self._regularise()
         self._move()
         if self.densifier:
             self._densify(self.densifier, iteration, iterations)
@@ -251,6 +250,16 @@ class PerGaussian:
     def _fitted(self) -> Parameters:
         changes = [self.adam.parameters[name] for name in self.base]
         return dict(zip(self.base, torch._foreach_add(list(self.base.values()), changes), strict=True))
+
+    @torch.no_grad()
+    def _regularise(self) -> None:
+        """Add the gradients of mean opacity and scale, at what `current` gave last, to those of the loss."""
+        rows, difference = len(self.base["means"]), self.adam.parameters
+        if self.opacity_weight and (by_logits := difference["opacity_logits"].grad) is not None:
+            alpha = self._drawn["opacity_logits"].sigmoid()
+            by_logits.addcmul_(alpha, 1 - alpha, value=self.opacity_weight / rows)
+        if self.scale_weight and (by_sizes := difference["log_scales"].grad) is not None:
+            by_sizes.add_(self._drawn["log_scales"].exp(), alpha=self.scale_weight / (self.extent * 3 * rows))
 
     def _move(self) -> None:
         """Adam, the temporal loss, and no Gaussian larger than the scene.
@@ -295,6 +304,7 @@ class Networks(torch.nn.Module):
 
     centre: torch.Tensor
     spread: torch.Tensor
+    scales: torch.Tensor
 
     def __init__(self, like: Parameters, extent: float, seed: int) -> None:
         """Draw weights by a seed for Gaussians like these, whose statistics standardise the input.
@@ -303,6 +313,7 @@ class Networks(torch.nn.Module):
         """
         super().__init__()
         self.names, self.extent = [name for name in GAUSSIAN_FIELDS if like[name][0].numel()], extent
+        self.shapes = [like[name].shape[1:] for name in self.names]
         features, count, draw = self._encode(like), len(self.names), torch.Generator().manual_seed(seed)
 
         def layer(rows: int) -> torch.nn.Parameter:
@@ -315,18 +326,28 @@ class Networks(torch.nn.Module):
         self.register_buffer("spread", features.std(dim=0) + 1e-4)  # a constant feature: 0, not 0 / 0
         self.first, self.second = layer(features.shape[1]), layer(HIDDEN_WIDTH)
         self.first_bias, self.second_bias = zeros(count, 1, HIDDEN_WIDTH), zeros(count, 1, HIDDEN_WIDTH)
-        self.last = torch.nn.ParameterList([zeros(HIDDEN_WIDTH, like[name][0].numel()) for name in self.names])
+        self.last = zeros(count, HIDDEN_WIDTH, max(shape.numel() for shape in self.shapes))
+        scales = [SCALES[name] * (extent if name == "means" else 1) for name in self.names]
+        self.register_buffer("scales", torch.tensor(scales)[:, None, None], persistent=False)
 
     def features(self, p: Mapping[str, torch.Tensor]) -> torch.Tensor:
         return (self._encode(p) - self.centre) / self.spread
 
-    def forward(self, features: torch.Tensor) -> dict[str, torch.Tensor]:
-        hidden = torch.relu(torch.matmul(features[None], self.first) + self.first_bias)
-        hidden = torch.relu(torch.bmm(hidden, self.second) + self.second_bias)
-        scales = SCALES | {"means": SCALES["means"] * self.extent}
-        outputs = [one @ last for one, last in zip(hidden.unbind(), self.last, strict=True)]
-        scaled = torch._foreach_mul(outputs, [scales[name] for name in self.names])
-        return dict(zip(self.names, scaled, strict=True))
+    def forward(self, features: torch.Tensor) -> torch.Tensor:
+        """Return changes as `padded` gives values."""
+        hidden = torch.relu(torch.baddbmm(self.first_bias, features.expand(len(self.first), -1, -1), self.first))
+        hidden = torch.relu(torch.baddbmm(self.second_bias, hidden, self.second))
+        return torch.bmm(hidden, self.last) * self.scales
+
+    def padded(self, p: Parameters) -> torch.Tensor:
+        """Return the attributes one after another, as wide as the widest, with zeros at the ends of rows."""
+        flat, widest = [p[name].reshape(len(p[name]), -1) for name in self.names], self.last.shape[2]
+        return torch.stack([torch.nn.functional.pad(one, (0, widest - one.shape[1])) for one in flat])
+
+    def attributes(self, padded: torch.Tensor) -> Parameters:
+        """Inverse of `padded`."""
+        parts = zip(self.names, self.shapes, padded.unbind(), strict=True)
+        return {name: part[:, : shape.numel()].reshape(len(part), *shape) for name, shape, part in parts}
 
     def _encode(self, p: Mapping[str, torch.Tensor]) -> torch.Tensor:
         x = p["means"] / self.extent  # five octaves of the positional encoding (NeRF, Mildenhall et al. 2020, eq. 4)
@@ -351,21 +372,20 @@ class MlpDriven:
     networks: Networks
     temporal: Parameters  # weight of |change| of each element, `temporal_weights`
     _features: torch.Tensor = field(init=False)
-    _changes: Parameters = field(init=False, default_factory=dict)  # of the last `current`, at the time of the frame
+    _still: torch.Tensor = field(init=False)  # the base, padded, and so are:
+    _weights: torch.Tensor = field(init=False)
+    _changes: torch.Tensor = field(init=False)  # of the last `current`, at the time of the frame
     _adam: torch.optim.Adam = field(init=False)
 
     def __post_init__(self) -> None:
         self._features = self.networks.features(self.base)
-        at_once = {"fused" if self._features.is_cuda else "foreach": True}
-        self._adam = torch.optim.Adam(self.networks.parameters(), lr=MLP_RATES[0], betas=BETAS, **at_once)
+        self._still, self._weights = self.networks.padded(self.base), self.networks.padded(self.temporal)
+        self._adam = torch.optim.Adam(self.networks.parameters(), lr=MLP_RATES[0], betas=BETAS, fused=True)
 
     def current(self, after: float = 0.0) -> Parameters:
         """Return the Gaussians moved by the networks, extrapolated linearly by `after` frames."""
-        self._changes = {n: d.reshape(self.base[n].shape) for n, d in self.networks(self._features).items()}
-        changes = tuple(self._changes.values())
-        further = torch._foreach_mul(changes, 1 + after) if after else changes
-        moved = torch._foreach_add([self.base[name] for name in self._changes], further)
-        return self.base | dict(zip(self._changes, moved, strict=True))
+        self._changes = self.networks(self._features)
+        return self.base | self.networks.attributes(torch.add(self._still, self._changes, alpha=1 + after))
 
     def detached(self) -> Parameters:
         with torch.no_grad():
@@ -374,10 +394,9 @@ class MlpDriven:
     def watch(self) -> AbsGrad | None:
         return None  # rows are not added
 
-    def penalty(self) -> torch.Tensor | float:
+    def penalty(self) -> torch.Tensor:
         """Return L_temp of the changes that `current` gave last."""
-        weights = [self.temporal[name] for name in self._changes]
-        return sum(d.sum() for d in torch._foreach_mul(torch._foreach_abs(list(self._changes.values())), weights))
+        return (self._changes.abs() * self._weights).sum()
 
     def step(self, iteration: int, iterations: int) -> None:
         for group in self._adam.param_groups:
@@ -403,42 +422,47 @@ class ExposureModel:
         of one exposure have the identity for good; None: whatever is found stays.
         """
         self.differs, self._steps, self._reference, self._looks = True, 0, reference, looks
-        self._logs = torch.zeros(views, 2, 3, device=device, requires_grad=True)  # left and right
-        self._offsets = torch.zeros(views, 2, 3, device=device, requires_grad=True)
-        self._adam = torch.optim.Adam([self._logs, self._offsets], lr=2e-3, betas=BETAS)
+        values = torch.zeros(views, 2, 6, device=device)  # left and right; logarithms of gains, and offsets
+        self._adam = Adam({"values": values}, {"values": 2e-3}, 1e-8)
 
     def apply(self, rgb: torch.Tensor, views: Sequence[int]) -> torch.Tensor:
         """Return rendered pictures (C, H, W, 3) as the cameras of those views would have exposed them."""
         if not self.differs:
             return rgb
-        side = torch.arange(rgb.shape[2], device=rgb.device) * 2 // rgb.shape[2]
-        logs, offsets = (torch.stack([t[view] for view in views])[:, None, side] for t in self._centred())
-        return rgb * logs.exp() + offsets
+        each = self._centred().unbind()
+        values = torch.stack([each[view] for view in views])[:, None, _sides(rgb.shape[2], rgb.device)]
+        return torch.addcmul(values[..., 3:], rgb, values[..., :3].exp())
 
     def step(self) -> None:
         if not self.differs:
             return
         self._adam.step()
-        self._adam.zero_grad(set_to_none=True)
         if self._steps + 1 == self._looks:
-            left, right = self._centred()[0].detach().unbind(1)
+            left, right = self._centred().detach()[..., :3].unbind(1)
             found, error = ((t / 2).square().mean().sqrt().item() for t in (left + right, left - right))
             self.differs = found > max(SAME_EXPOSURE, 2 * error)
         self._steps += 1
 
     def table(self, names: Sequence[str]) -> dict[str, list[float]]:
         """Return gains r, g, b and offsets r, g, b by the names of the cameras, rounded to 5 digits."""
-        logs, offsets = (t.detach().mean(dim=1).cpu().numpy() for t in self._centred())
-        rows = np.concatenate([np.exp(logs), offsets], axis=1)
+        rows = self._centred().detach().mean(dim=1).cpu().numpy()
+        rows[:, :3] = np.exp(rows[:, :3])
         return {name: [round(float(v), 5) for v in row] for name, row in zip(names, rows, strict=True)}
 
-    def _centred(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Logarithms of gains, and offsets, (V, 2, 3), equal in both halves after `looks` steps."""
-        own = slice(None) if self._reference is None else slice(self._reference, self._reference + 1)
-        logs, offsets = (t - t[own].mean(dim=0, keepdim=True) for t in (self._logs, self._offsets))
+    def _centred(self) -> torch.Tensor:
+        """Return the values (V, 2, 6), equal in both halves after `looks` steps."""
+        values = self._adam.parameters["values"]
+        kept = values if self._reference is None else values[self._reference, None]
+        values = values - kept.mean(dim=0, keepdim=True)
         if self._looks is not None and self._steps < self._looks:
-            return logs, offsets
-        return logs.mean(dim=1, keepdim=True).expand_as(logs), offsets.mean(dim=1, keepdim=True).expand_as(offsets)
+            return values
+        return values.mean(dim=1, keepdim=True).expand_as(values)
+
+
+@lru_cache(maxsize=16)
+def _sides(width: int, device: torch.device) -> torch.Tensor:
+    """Return (width,) 0 in the left half of a picture, 1 in the right one."""
+    return torch.arange(width, device=device) * 2 // width
 
 
 LOOK_EVERY = 50  # iterations on CUDA until losses are checked; rows are added no more often
@@ -512,7 +536,7 @@ def optimise(
     on_device, order = cuda.by_gsplat(place), shuffled(len(views), rng)
     losses, iterations = LossCheck(LOOK_EVERY if on_device else 1), schedule.iterations
     halved = round(schedule.coarse * iterations) if can_be_halved(views) else 0
-    coarse = [halve(view) for view in views] if halved else []
+    coarse = kept_halves(views) if halved else []
     ready = partial(uploaded, device=place.device) if on_device else list[View]
     if not schedule.random_background:
         views, coarse = ready(views), ready(coarse)
@@ -567,6 +591,13 @@ def halve(view: View) -> View:
     shape = -(-size[1] // TILE), -(-size[0] // TILE)
     redraw = view.redraw and replace(view.redraw, tiles=any_in_blocks(view.redraw.tiles, 2, shape), rest=rest)
     return View(with_pixels(view.camera, *size), target, redraw, view.after)
+
+
+def kept_halves(views: Sequence[View]) -> list[View]:
+    """Return views at half their size, which are made once if memory allows."""
+    halves = [halve(view) for view in views]
+    targets = Recent[int, TargetPicture](lambda i: halves[i].target, TARGET_BYTES // 4)
+    return [replace(half, picture=partial(targets.get, i)) for i, half in enumerate(halves)]
 
 
 def any_in_blocks(mask: NDArray[np.bool_], side: int, shape: tuple[int, int]) -> NDArray[np.bool_]:

@@ -71,7 +71,12 @@ DROPOUT = 0.2
 # as many; in a sparse rig they showed less.
 GAUSSIAN_PIXELS = 14  # of a picture, for each Gaussian
 HIDDEN_OPACITY = 0.02  # fainter rows are removed at the end of a fit within the budget; of a keyframe only added ones
-MOVING_RATES = Rates(factor=10.0, means=0.5, last=0.1, means_last=0.1)  # of frames that start from the one before
+# Second moments that forget ten times sooner gave 0.3 dB in held-out views of the fox after 1,000 iterations.
+FIRST_RATES = Rates(factor=6.0, last=0.1, late=0.7, second=0.99)
+SPARSE_RATES = Rates(means=0.1)
+COARSE = 0.4  # times the share of a frame's iterations that see pictures of half the size
+# Of frames that start from the one before.
+MOVING_RATES = Rates(factor=15.0, means=0.5, last=0.1, means_last=0.1, late=0.5, second=0.99)
 KEYFRAME_RATES = Rates(factor=8.0, last=0.05, means_last=0.05)  # what has appeared has far to go
 UNFORESEEN = 1.5  # times as many iterations for a frame to which its velocity does not lead
 
@@ -257,10 +262,10 @@ def fit_first(
     assert cloud.colours is not None  # both give every point one
     start = from_points(cloud.positions[chosen], cloud.colours[chosen], s.sh_degree, 0.6 if sparse else 0.1, largest)
     base, more = with_motion(from_gaussians(start, trainer.device), views), dict[str, Any](seed=s.seed)
-    more |= {"rates": Rates(means=0.1), "dropout": DROPOUT} if sparse else {}
+    more |= {"rates": SPARSE_RATES, "dropout": DROPOUT} if sparse else {"rates": FIRST_RATES}
     more |= FIRST_REGULARISERS if s.regularised else {}
     schedule = trainer.schedule("first frame", s.iterations_from_scratch(len(views)))
-    schedule = replace(schedule, sh_degree=lambda done: min(s.sh_degree, int(4 * done)))
+    schedule = replace(schedule, sh_degree=lambda done: min(s.sh_degree, int(4 * done)), coarse=COARSE * s.coarse)
     found = trainer.fit_growing(base, (views, views), most, (schedule, rng, exposure, progress), **more)
     if not (unseen and len(unseen.positions)):
         return found

@@ -46,9 +46,10 @@ RUNS = {  # by the names of what is published: commands, in a folder with the sc
     "devices": "devices views/fox --sequence fox --device cpu --cameras 1",
     "link": "link package const:5 --seconds 0.2",
     "footage": "footage fox --frames 0:1 --max-size 24 --points 50",
+    "pace": "pace views/fox --frames 2",
     "soak-farm": "soak-farm --groups 1 --kills 4",
 }
-UNPUBLISHED = {"devices", "link", "footage", "soak-farm"}
+UNPUBLISHED = {"devices", "link", "footage", "pace", "soak-farm"}
 TWINS = {"rd-spinach", "rd-head", "tracked-fox", "paper-system", "splits-basketball", "splits-kinoptic"}
 TWINS |= {f"mechanisms-{name}" for name in ("basketball", "trainer", "motion", "exposure")}
 
@@ -99,7 +100,7 @@ INSTEAD = {
     "tools.lab.bench.mechanisms": {**ENCODE, **TRAIN, "SPLITS": (1,), "FRAMES": 2},
     "tools.lab.bench.soak_farm": {**ENCODE, "PAUSE_S": 0.02, "ROWS": 9, "COMMAND": FARM},
     "tools.lab.bench.soak_farm.Cluster": {"keep": lambda _: None, "kill": lambda *_: None},
-    "tools.lab.bench.splits": {"subprocess": COMMAND},
+    **{f"tools.lab.bench.{name}": {"subprocess": COMMAND} for name in ("pace", "splits")},
     "tools.lab.bench.static": {**ENCODE, "DRAWS": 2},
     "tools.lab.bench.tracked": {**ENCODE, "tracked": lambda given, *_: nullcontext(given)},
     "tools.lab.numerics.extremes": {"run": known_extremes},

@@ -222,7 +222,7 @@ OF_TRAINING = (
         _patched((Trainer, "_scope", lambda trainer, before, target, base: (target.views, None))), behind=True,
     ),
     Mechanism("exposure of cameras", f"{FIT}optimise:ExposureModel", _set(match_exposure="off")),
-    Mechanism("empty space stays empty", f"{FIT}optimise:penalty", _set(regularised=False)),
+    Mechanism("empty space stays empty", f"{FIT}optimise:_regularise", _set(regularised=False)),
     Mechanism(
         "motion goes on", f"{FIT}trainer:_is_foreseen {FIT}trainer:_start", _set(velocity=False), behind=True
     ),
