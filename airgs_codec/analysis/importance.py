@@ -22,7 +22,7 @@ Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Still = tuple[Gaussians, Camera]
 PRECISION = 0.01  # of the rows
-HIDDEN = 20.0  # times the errors of single rows, about, is that of all together: they hide each other
+OVERLAP = 20.0  # times the errors of single rows, about, is that of all together: they hide each other
 CLOSE = 0.85  # of the squared error that is allowed: enough rows are left out
 DETAIL = 37  # times the error that is allowed: where a picture without rows differs by more, it shows something else
 WIDEST_CHANGE = 255  # steps: larger values count as this one when entropy is estimated
@@ -129,14 +129,14 @@ class RowPruning:
     def _guess(self, errors: Mapping[int, float], middle: int, error: float) -> int:
         """Return the count of an error, by the expected ones as the two nearest known errors correct them, or `middle`.
 
-        In logarithms; HIDDEN times the expected errors where none is known, and in proportion where one is.
+        In logarithms; OVERLAP times the expected errors where none is known, and in proportion where one is.
         """
         known = [
             (math.log(self._expected[count - 1]), math.log(found / error))
             for count, found in errors.items()
             if found > 0 and self._expected[count - 1] > 0 and count < len(self._order) - 1  # tells nothing of fewer
         ]
-        (x, y), *others = sorted(known, key=lambda one: abs(one[1]))[:2] or [(math.log(error / HIDDEN), 0.0)]
+        (x, y), *others = sorted(known, key=lambda one: abs(one[1]))[:2] or [(math.log(error / OVERLAP), 0.0)]
         slope = (others[0][1] - y) / (others[0][0] - x) if others and others[0][0] != x else 1.0
         if slope <= 0:
             return middle

@@ -36,7 +36,7 @@ EXPERIMENTS = (
         "20 min a scene",
     ),
     Experiment("rivals", "What are the methods compared with?", "tools.lab.baselines.rivals", "10 minutes"),
-    _bench("pace", "How soon does a training show as much as another one does?", "5 min a scene and tree"),
+    _bench("pace", "How long do encodes and trainings take, here and in other trees?", "5 min a scene and tree"),
     _bench("scale", "How do time, memory and bytes grow with Gaussians and frames?", "1 h"),
     _bench("scenes", "What is measured?", "10 s"),
     _bench("soak-farm", "Are the bytes the same where everything fails?", "10 min"),
@@ -144,6 +144,7 @@ MEASUREMENTS = (
         "mechanisms-exposure", "mechanisms",
         "mechanisms basketball_views/:0:3 --only 'exposure of cameras' 'nothing but other random numbers'",
     ),
+    Measurement("pace", "time", "pace fox/ fox_cameras/ head/ --trees 3a92d83c now"),
     Measurement("scale", "time", "scale"),
     Measurement("jobs", "time", "jobs"),
 )  # fmt: skip

@@ -46,10 +46,10 @@ RUNS = {  # by the names of what is published: commands, in a folder with the sc
     "devices": "devices views/fox --sequence fox --device cpu --cameras 1",
     "link": "link package const:5 --seconds 0.2",
     "footage": "footage fox --frames 0:1 --max-size 24 --points 50",
-    "pace": "pace views/fox --frames 2",
+    "pace": "pace views/fox --train --frames 2",
     "soak-farm": "soak-farm --groups 1 --kills 4",
 }
-UNPUBLISHED = {"devices", "link", "footage", "pace", "soak-farm"}
+UNPUBLISHED = {"devices", "link", "footage", "soak-farm"}
 TWINS = {"rd-spinach", "rd-head", "tracked-fox", "paper-system", "splits-basketball", "splits-kinoptic"}
 TWINS |= {f"mechanisms-{name}" for name in ("basketball", "trainer", "motion", "exposure")}
 
