@@ -94,7 +94,10 @@ def _seconds(tree: Path, program: str, words: list[str], lab: Lab) -> float | No
     """Return the seconds of the CPU that a program of a tree takes; None where it fails."""
     before = os.times()
     call = [sys.executable, "-c", CALL % program, *words]
-    done = subprocess.run(call, cwd=lab.folder, check=False, env=os.environ | {"PYTHONPATH": str(tree.resolve())})
+    places = {"PYTHONPATH": str(tree.resolve()), "XDG_CACHE_HOME": str(lab.folder / "stored")}  # of older trees
+    done = subprocess.run(call, cwd=lab.folder, check=False, env=os.environ | places)
     after = os.times()
+    for made in ("stored", "out.airgs"):
+        shutil.rmtree(lab.folder / made, ignore_errors=True)
     taken = after.children_user + after.children_system - before.children_user - before.children_system
     return None if done.returncode else taken
