@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from tests.faces import AirgsError, FrameRecord, TrainedFrame, airgs_train, open_package
+from tests.faces import AirgsError, FrameRecord, TrainedFrame, airgs_encode, airgs_train, open_package
 from tests.support.paths import FOX, GOLDEN, VALID
 from tests.support.scenes import write_demo
 from tests.support.training import write_blobs
@@ -46,10 +46,11 @@ RUNS = {  # by the names of what is published: commands, in a folder with the sc
     "devices": "devices views/fox --sequence fox --device cpu --cameras 1",
     "link": "link package const:5 --seconds 0.2",
     "footage": "footage fox --frames 0:1 --max-size 24 --points 50",
-    "pace": "pace views/fox --train --frames 2",
+    "pace": "pace fox --presets fast --repeats 1",
+    "pace-train": "pace views/fox --train --frames 2",
     "soak-farm": "soak-farm --groups 1 --kills 4",
 }
-UNPUBLISHED = {"devices", "link", "footage", "soak-farm"}
+UNPUBLISHED = {"devices", "link", "footage", "pace-train", "soak-farm"}
 TWINS = {"rd-spinach", "rd-head", "tracked-fox", "paper-system", "splits-basketball", "splits-kinoptic"}
 TWINS |= {f"mechanisms-{name}" for name in ("basketball", "trainer", "motion", "exposure")}
 
@@ -85,7 +86,13 @@ def known_extremes(*_):
 
 ENCODE = {"encode": encode}
 TRAIN = {"train_first": lambda capture, *rest: next(train_chunk(capture, range(1)))}
-COMMAND = SimpleNamespace(run=lambda words, **_: SimpleNamespace(returncode=airgs_train(words[3:])), DEVNULL=None)
+
+
+def run_here(words, **_):
+    return SimpleNamespace(returncode=(airgs_encode if "encode" in words[2] else airgs_train)(words[3:]))
+
+
+COMMAND = SimpleNamespace(run=run_here, DEVNULL=None)
 FARM = """
 import os, shutil, sys
 os.chdir(sys.argv[2])

@@ -51,9 +51,9 @@ def _encodes(options: Options, lab: Lab) -> Page:
         for tree in options.trees:
             row: Row = {"scene": scene.stem, "preset": preset, "tree": tree.name or "here"}
             found = [seconds for one, seconds in taken if one == tree and seconds is not None]
-            first = next((one["CPU, s"] for one in rows if one["scene"] == scene.stem), None)
+            first = next((one["CPU, s"] for one in rows if one["scene"] == scene.stem), 0.0)
             if found:
-                rows.append(row | {"CPU, s": median(found), "share": median(found) / (first or median(found))})
+                rows.append(row | {"CPU, s": median(found), "share": median(found) / first if first else 1.0})
     columns = {name: (name, "") for name in ("scene", "preset", "tree")}
     columns |= {"CPU, s": ("CPU, s", ".1f"), "share": ("of the first tree's default", ".2f")}
     how = f"Medians of {options.repeats} encodes in seconds of one core, imports and measuring counted."
