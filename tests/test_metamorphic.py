@@ -11,7 +11,7 @@ from tests.faces import EncodeSettings, Gaussians, join_rows, mix_rows, placed
 from tests.support.camera_files import FORMS
 from tests.support.scenes import moving_frames
 
-SETTINGS = replace(faces.as_fast(EncodeSettings()), threads=1)
+SETTINGS = replace(faces.as_fast(EncodeSettings()), check_pictures=16, threads=1)
 FRAMES = moving_frames(300, 2)
 RIG = faces.orbit_views(FRAMES[0], count=3, size=48)
 UTM = np.array([448262.0, 5411932.0, 113.0])
@@ -85,9 +85,7 @@ def plain(tmp_path_factory):
 def test_what_changes_nothing_changes_nothing(name, plain, tmp_path):
     scene, decibels, share = RELATIONS[name]
     rows, size, quality = scene.figures(tmp_path / "scene")
-    seen = "in view" in name  # one more Gaussian in a picture: which are needed is found to one per cent
-    assert rows == (pytest.approx(plain[0], rel=0.01) if seen else plain[0])
-    assert size == pytest.approx(plain[1], rel=share)
+    assert rows == plain[0] and size == pytest.approx(plain[1], rel=share)
     assert quality == pytest.approx(plain[2], abs=decibels)
 
 

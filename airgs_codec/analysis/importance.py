@@ -120,8 +120,8 @@ class RowPruning:
                 break
             count, near = (low + high) // 2, min(least, (high - low) // 2)
             if guesses < 6 and most > 0:
-                guess = self._guess(known, count, (1 + CLOSE) / 2 * most) - self._unused
-                guess = self._unused + least * round(guess / least)
+                guess = self._guess(known, count, (1 + CLOSE) / 2 * most)
+                guess = rows - least * round((rows - guess) / least)  # as many written ones whatever nobody sees
                 count = guess if low + near <= guess <= high - near else count
             known[count] = self.error_of(rows - count)
         return WrittenRows(np.sort(self._order[low:]), known[low])

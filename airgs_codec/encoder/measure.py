@@ -172,10 +172,7 @@ def with_quality(m: Manifest, seen: Sequence[Seen], newest: bool = False) -> Man
 
 
 def say_useless(m: Manifest) -> Manifest:
-    """Return a measured package whose decisions say which levels show less than a cheaper one, each in its own quality.
-
-    Pictures that measure tell it, up to the standard error of what they show.
-    """
+    """Return a measured package whose decisions name levels that show less than a cheaper one, beyond their error."""
     rungs, levels = rungs_of(m, 0), len(m.levels)
     own = [(rungs[level.quality * levels + j], m.rungs[level.quality][j]) for j, level in enumerate(m.levels)]
     useless = [

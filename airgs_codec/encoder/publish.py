@@ -40,7 +40,7 @@ from airgs_codec.scene.camera import with_pixels
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
 PACKAGE_ENDING = ".airgs"  # of the names of packages, which may have none
-RUN_VERSION = 1  # of what `encode_run` gives for the same frames and plan: stored results of others are made again
+RUN_VERSION = 2  # of what `encode_run` gives for the same frames and plan: stored results of others are made again
 POSTER_QUALITIES = (90, 80, 70, 60, 50, 40, 30)  # of JPEG; a worse picture is made smaller instead
 
 

@@ -163,6 +163,7 @@ class EncodeSettings:
     )
     keep_all: bool = setting(False, "leave nothing out but what is constant")
     decide_pictures: int = setting(24, "pictures of each group that decide what matters, at least")
+    check_pictures: int = setting(16, "others, which show what leaving something out would do", option=False)
     byte_price: float = setting(
         0.0,
         "squared error of pictures that must be worth a byte a frame at quality 1, or planes and segments are left "
@@ -216,6 +217,7 @@ class EncodeSettings:
             (self.margin is None or self.region is None, "expected a margin or a region, got both"),
             (not fault, f"world: {fault}"),
             (self.decide_pictures >= 1, f"expected 1 or more pictures to decide with, got {self.decide_pictures}"),
+            (self.check_pictures >= 1, f"expected 1 or more pictures to check with, got {self.check_pictures}"),
             (self.measure_pictures >= 0, f"expected 0 or more pictures to measure, got {self.measure_pictures}"),
             (self.threads >= 1, f"expected at least one thread, got {self.threads}"),
         ]
@@ -302,6 +304,7 @@ def as_fast(settings: EncodeSettings) -> EncodeSettings:
         calibrate="none",
         preset="fast",
         decide_pictures=8,
+        check_pictures=8,
         measure_pictures=min(settings.measure_pictures, 8),
     )
 

@@ -36,7 +36,6 @@ from airgs_codec.scene.camera import cameras_from, resized, training_views
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
-CHECK_PICTURES = 16  # most other pictures than those that decide, which show what leaving something out would do
 DECISION_PIXELS = 200_000  # of a picture that decides: larger ones are made smaller
 SMALL_PIXELS = 110_000  # of pictures that are at most as large, twice as many decide
 SEARCHED_FRAMES = 3  # frames, where no camera is given
@@ -130,8 +129,8 @@ def choose_views(
         raise ConfigError(f"views: expected some that show the middle frame, got {2 * DRAWS} of nothing: {why}")
     small = region.width * region.height <= SMALL_PIXELS
     decided = settings.decide_pictures * (2 if small else 1)
-    checked = min(CHECK_PICTURES, settings.decide_pictures)
-    return SceneViews(region, world, trusted, decided, checked, (blind[0], blind[1])), tuple(notes)
+    chosen = SceneViews(region, world, trusted, decided, settings.check_pictures, (blind[0], blind[1]))
+    return chosen, tuple(notes)
 
 
 def _blind(region: Region, seed: int, frame: Gaussians, renderer: Renderer) -> tuple[int, ...]:

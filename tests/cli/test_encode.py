@@ -94,7 +94,7 @@ def levels(*words):
 PAPER = {"levels": tuple(faces.LevelSettings(i / 10) for i in range(11)), "tiers": (1.0,), "keyframe_factors": (1.0,)}
 PAPER |= {"calibrate": "none", "usage": "hits", "update_rank": "hits", "keep_all": True, "keyframes": "intra"}
 FAST = {"levels": levels((0, 1, 0), (0.5, 2, 1)), "preset": "fast", "calibrate": "none"}
-FAST |= {"decide_pictures": 8, "measure_pictures": 8}
+FAST |= {"decide_pictures": 8, "check_pictures": 8, "measure_pictures": 8}
 ASKED = {
     "": {}, "--preset paper": PAPER, "--preset fast": FAST,
     "--preset fast --group-frames 2 --measure-pictures 2": FAST | {"group_frames": 2, "measure_pictures": 2},

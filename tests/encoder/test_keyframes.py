@@ -52,7 +52,7 @@ def test_what_stands_still_is_that_of_the_base_and_a_viewer_with_fewer_tiers_has
         one, other = (decode_canonical(package, group, quality) for group in (8, 9))
         same, still = unchanged(one, other), np.abs(one.means).max(axis=1) > 0.8  # walls are at 1, the mover within 0.5
         alone = [same[block].all() for block in blocks if still[block].all()]
-        assert all(alone) and len(alone) >= len(blocks) / 4 and same.sum() >= 0.85 * 5000
+        assert all(alone) and len(alone) >= len(blocks) / 3 and same.sum() >= 0.85 * 5000
     few = next(faces.decode_frames(package, 9 * GROUP, 9 * GROUP + 1, tiers=1)).gaussians.means
     np.testing.assert_array_equal(few, decode(package, 9 * GROUP).means[: tiers[0].count])
 
@@ -75,7 +75,7 @@ def test_what_changed_by_less_than_the_codec_errs_differs_by_nothing_and_has_no_
     first, last = (decode(package, group * GROUP).sh_dc[:, 0] / KEPT_KEYFRAMES.steps.keyframe.sh_dc for group in (4, 6))
     moved = np.abs(last - first)  # in one picture with rows that change much the others are no longer exact
     drawn = int((PACKAGES["keyframes"].groups()[4][0].opacities()[:100] >= 1 / 255).sum())
-    assert [(moved < 3).sum(), (moved > 20).sum()] == [380 - drawn, drawn]
+    assert [(moved < 3).sum(), (moved > 25).sum()] == [380 - drawn, drawn]
     assert [len(package.manifest.keyframe_files(7, t, 0)) for t in range(2)] == [1, 1]
     one, other = (np.sort(decode(package, group * GROUP).means, axis=0) for group in (4, 7))
     np.testing.assert_array_equal(one, other)
