@@ -36,11 +36,11 @@ async function run(): Promise<object> {
   element.shadowRoot?.querySelector<HTMLElement>('[aria-label="Figures"]')?.click();
   const first = shown();
   await until("a rung that is held", () => player.stats.held !== null && shown() !== first);
-  await until("a sentence", () => panel().includes("screen"));
+  await until("a sentence", () => panel().includes("Held"));
   const held = { rung: shown(), panel: panel(), stats: player.stats };
   element.setAttribute("quality", first);
   await until("the rung that was chosen", () => shown() === first);
-  await until("no sentence", () => !panel().includes("screen"));
+  await until("no sentence", () => !panel().includes("Held"));
   return { first, held, chosen: { rung: shown(), panel: panel(), stats: player.stats } };
 }
 
