@@ -13,10 +13,8 @@ import hypothesis
 import pytest
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before numba: threads that wait must not take a core
-if "PYTEST_XDIST_WORKER" in os.environ:
-    os.environ.setdefault(
-        "OMP_NUM_THREADS", "1"
-    )  # before numpy and numba: the processes of pytest-xdist take all cores
+if "PYTEST_XDIST_WORKER" in os.environ:  # whose processes take all cores; before numpy and numba
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from tests.support.mutations import read_files
 from tests.support.packages import PACKAGES

@@ -74,9 +74,8 @@ def test_frames_that_are_dropped_lower_the_level_unless_the_viewer_has_chosen_on
     package = write_repeated(FOX, tmp_path / "fox.airgs", 30, FPS)
     report, _ = look("slow", {"package": package}, src="/package/", busy=BUSY_MS)
     first, held, chosen = (report[name] for name in ("first", "held", "chosen"))
-    assert first == "Q0+L0" and held["rung"].endswith("+L1")  # of whichever keys are there by then
-    stats = held["stats"]
-    assert stats["held"]["rung"] == 1  # by the decoder, which shares the machine with a screen and other tests, or it
+    stats = held["stats"]  # by the screen, or by a decoder that other tests have slowed down
+    assert (first, stats["held"]["rung"]) == ("Q0+L0", 1) and held["rung"].endswith("+L1")  # of keys that are there
     assert f"at {held['rung']}: {CAUSES[stats['held']['by']]}" in held["panel"]
     assert stats["framesDropped"] > 0.15 * (stats["framesShown"] + stats["framesDropped"])
     assert (chosen["rung"], chosen["stats"]["held"]) == (first, None) and "Held" not in chosen["panel"]
