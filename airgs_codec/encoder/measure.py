@@ -172,14 +172,18 @@ def with_quality(m: Manifest, seen: Sequence[Seen], newest: bool = False) -> Man
 
 
 def say_useless(m: Manifest) -> Manifest:
-    """Return a measured package whose decisions name levels that show less than a cheaper one, beyond their error."""
-    rungs, levels = rungs_of(m, 0), len(m.levels)
-    own = [(rungs[level.quality * levels + j], m.rungs[level.quality][j]) for j, level in enumerate(m.levels)]
+    """Return a measured package whose decisions name rungs that show less than a cheaper one, beyond their error.
+
+    Rungs are compared that share their keyframes or their level: a player may hold one of both and choose the other.
+    """
+    shown = list(zip(rungs_of(m, 0), itertools.chain.from_iterable(m.rungs), strict=True))
     useless = [
         f"{rung.name} shows {other.psnr - quality.psnr:.1f} dB less than {cheaper.name}, which takes fewer bytes"
-        for rung, quality in own
-        for cheaper, other in own
-        if cheaper.bytes < rung.bytes and other.psnr > quality.psnr + quality.error
+        for rung, quality in shown
+        for cheaper, other in shown
+        if (cheaper.keyframe_quality == rung.keyframe_quality or cheaper.level == rung.level)
+        and cheaper.bytes < rung.bytes
+        and other.psnr > quality.psnr + math.hypot(quality.error, other.error)
     ]
     return replace(m, decisions=[*m.decisions, *useless])
 
