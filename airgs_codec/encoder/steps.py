@@ -59,7 +59,7 @@ STEP_CHANNELS = {
 Slope = tuple[float, float]
 # Of each level: the factor on every step, its keyframe quality. A rung costs what a package with only that rung would:
 # all steps grow alike, and with their square the price of a byte.
-LADDER = ((1.0, 0), (2.0, 1), (4.0, 1), (11.0, 2))
+LADDER = ((1.0, 0), (2.0, 1), (4.0, 1), (14.0, 2))
 TIERS = (0.6, 0.25, 0.15)  # of the rows: each has its own keyframe steps. More cost more positions than they save steps
 FACTORS = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0)  # on the steps, for which a share is chosen
 SHARES = (0.0, 0.2, 0.4, 0.6, 0.75, 0.87)  # of the updates that a level withholds, tried
