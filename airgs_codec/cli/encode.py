@@ -55,6 +55,7 @@ from airgs_codec.places.place import is_address
 from airgs_codec.places.whole import expect_folder_name, expect_plain
 from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.beside import read_attribution
+from airgs_codec.scene.formats.table import without_ending
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
 from airgs_codec.trainer.data.readers import is_multiview
 from airgs_codec.trainer.track import decide as will_track
@@ -103,7 +104,7 @@ def encode(options: Encode) -> int:
     _goal(options, 1)  # refuses impossible goals before any work
     expect_report(options.report)
     place = options.scene.rstrip("/") if is_address(options.scene) else Path(options.scene).resolve()
-    target = options.output or f"{place}{PACKAGE_ENDING}"
+    target = options.output or f"{without_ending(str(place))}{PACKAGE_ENDING}"
     expect_folder_name(target, PACKAGE_ENDING)
     if options.follow:
         return _follow(options, settings, plan, target)

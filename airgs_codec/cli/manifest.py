@@ -9,6 +9,7 @@ import json
 from dataclasses import field
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import required, setting
@@ -18,6 +19,7 @@ from airgs_codec.cli.options import (
     BakingOptions,
     Given,
     as_options,
+    epilogue,
     expect_folder,
     make_app,
     open_frames,
@@ -132,9 +134,19 @@ def export_page(options: ExportPage) -> int:
 
 
 app = make_app("airgs-manifest", about="Look into a package, check it, compare it with the original, put it on a page.")
-for command in (inspect, validate, set_view, export_page):
-    app.command(command)
 COMPARE = "airgs_codec.cli.compare"  # loads the renderer: imported when it runs
-app.command(f"{COMPARE}:compare", help="Compare two scenes or packages: PSNR, SSIM, CIEDE2000, bytes, pictures.")
-app.command(f"{COMPARE}:rungs", help="Measure PSNR, SSIM and CIEDE2000 of every rung against the original.")
+COMMANDS: dict[str, Any] = {
+    "inspect": inspect,
+    "validate": validate,
+    "set-view": set_view,
+    "export-page": export_page,
+    "compare": f"{COMPARE}:compare",
+    "rungs": f"{COMPARE}:rungs",
+}
+ABOUT = {
+    "compare": "Compare two scenes or packages: PSNR, SSIM, CIEDE2000, bytes, pictures.",
+    "rungs": "Measure PSNR, SSIM and CIEDE2000 of every rung against the original.",
+}
+for name, command in COMMANDS.items():
+    app.command(command, name=name, help=ABOUT.get(name), help_epilogue=epilogue(f"airgs-manifest {name}"))
 main = partial(run_program, "airgs-manifest", app)

@@ -49,6 +49,41 @@ BUCKET = "s3://, gs://, az:// and a prefix"
 FRAMES_HELP = "frames A to B - 1, or one frame"
 FORMS = "; docs/encoding.md lists the forms of cameras"
 EXECUTOR = "a Dask cluster does the work: one with its scheduler at ADDRESS, or one of --jobs processes on this machine"
+EXAMPLES = """\
+airgs-encode frames/ -o scene.airgs
+airgs-encode frames/ --views transforms.json --target-psnr 40
+airgs-encode head.ply --preset fast --report report/
+airgs-decode scene.airgs -o frames/
+airgs-decode scene.airgs -o first.spz --frames 0
+airgs-decode scene.airgs -o small/ --keyframe-quality Q1 --level L2
+airgs-train views/ -o model/
+airgs-train views/ --frames 0:30 --effort quick --report report/
+airgs-train views/ -o model/ --resume
+airgs-play scene.airgs --trace const:8
+airgs-play scene.airgs --trace trace.csv --policy bola --video film.mp4
+airgs-play scene.airgs --compare --traces traces/
+airgs-serve scene.airgs
+airgs-serve packages/ --port 9000
+airgs-serve packages/ --host 0.0.0.0 --certificate chain.pem --key key.pem
+airgs-manifest inspect scene.airgs
+airgs-manifest inspect scene.airgs --plot rungs.png
+airgs-manifest inspect https://example.org/scene.airgs --json
+airgs-manifest validate scene.airgs
+airgs-manifest validate scene.airgs --against frames/
+airgs-manifest validate s3://bucket/scene.airgs --json
+airgs-manifest set-view scene.airgs --up=-y
+airgs-manifest set-view scene.airgs --position 0,1,3 --look-at 0,1,0
+airgs-manifest set-view a.airgs --position 2,1,0 --look-at 0,1,0 --name left
+airgs-manifest export-page scene.airgs -o site/
+airgs-manifest export-page head.airgs fox.airgs -o site/ --title Gallery
+airgs-manifest export-page a.airgs -o site/ --address https://example.org/
+airgs-manifest compare frames/ scene.airgs
+airgs-manifest compare frames/ scene.airgs --rung Q1+L1 -o pictures/
+airgs-manifest compare a.ply b.spz --json
+airgs-manifest rungs scene.airgs frames/
+airgs-manifest rungs scene.airgs frames/ --every 10 --draws 20
+airgs-manifest rungs scene.airgs frames/ --views held_out.json
+"""
 CUDA = "; cuda needs a GPU and the cuda extra, auto takes it where it can"
 
 
@@ -127,12 +162,24 @@ def option_name(name: str) -> str:
     return re.sub("_(s|db)$", "", name).replace("_", "-")
 
 
+def examples_of(words: str) -> list[str]:
+    """Return three examples of a program or a subcommand, of a program with subcommands one of three of them."""
+    found = [line for line in EXAMPLES.splitlines() if line.startswith(f"{words} ")]
+    return found[:: len(found) // 3]
+
+
+def epilogue(words: str) -> str:
+    """Return what the help of a program or a subcommand ends with."""
+    all_options = f"{ALL} lists every option, --version says which version this is."
+    return "\n".join([all_options, "", "Examples:", *(f"  {line}" for line in examples_of(words))])
+
+
 def make_app(name: str, command: Callable[..., int] | None = None, about: str | None = None) -> App:
     """Return the program `name`, which does `command`; without one its commands are added to it."""
     how: Given = {"print_error": False, "exit_on_error": False, "suppress_keyboard_interrupt": False}
     how |= {"result_action": "return_value", "help_flags": "--help", "help_format": "plaintext"}
     how["default_parameter"] = Parameter(consume_multiple=True, name_transform=option_name)
-    how["help_epilogue"] = f"{ALL} lists every option, --version says which version this is."
+    how["help_epilogue"] = epilogue(name)
     commands = Group("Commands", sort_key=0, show=command is None)
     groups: Given = {"group_arguments": ARGUMENTS, "group_commands": commands}
     app = App(name=name, help=about, version=__version__, **groups, **how)

@@ -54,7 +54,7 @@ class TrainSettings:
     capacity: int | None = setting(None, "most Gaussians that there may ever be", default="1.5 times the first frame's")
     sh_degree: int = setting(1, "degree of the spherical harmonics, 0 to 3")
     first_iterations: int | None = setting(
-        None, f"iterations of the first frame; None: {FIRST}, at least {FIRST_A_VIEW} a view", default=FIRST
+        None, "iterations of the first frame", default=f"{FIRST}, at least {FIRST_A_VIEW} a view"
     )
     keyframe_iterations: int = setting(1000, "iterations of a keyframe")
     frame_iterations: int = setting(200, "iterations of a frame in a group")

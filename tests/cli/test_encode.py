@@ -1,6 +1,7 @@
 """airgs-encode as a user runs it: once in earnest, and else what its options ask of the library and what it says."""
 
 import json
+import shutil
 from contextlib import redirect_stdout
 from dataclasses import replace
 from io import StringIO
@@ -134,8 +135,12 @@ def test_the_package_is_beside_the_scene_unless_it_is_told_where(asked, tmp_path
     assert faces.airgs_encode([place]) == faces.airgs_encode([place, "-o", "out", "--attribution", "me"]) == 0
     monkeypatch.chdir(place)
     assert faces.airgs_encode(["."]) == 0
-    assert [call.target for call in asked] == [f"{tmp_path}/scene.airgs", "out", f"{tmp_path}/scene.airgs"]
-    assert [call.sequence.attribution for call in asked] == ["points by nobody", "me", "points by nobody"]
+    for name in ("head.ply", "head.compressed.ply"):
+        shutil.copy(tmp_path / "scene" / "000000.ply", tmp_path / name)
+        assert faces.airgs_encode([str(tmp_path / name)]) == 0
+    names = ("scene.airgs", None, "scene.airgs", "head.airgs", "head.airgs")
+    assert [call.target for call in asked] == [f"{tmp_path}/{name}" if name else "out" for name in names]
+    assert [call.sequence.attribution for call in asked[:3]] == ["points by nobody", "me", "points by nobody"]
 
 
 def test_figures_are_said_in_words_or_as_json(asked, capsys):

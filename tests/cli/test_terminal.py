@@ -11,9 +11,11 @@ from airgs_codec.cli import terminal
 from tests import faces
 from tests.support.paths import FOX, FOX_VIEWS, GOLDEN, VALID
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
+from tools.check_docs import command_error
 
 EVERYDAY = 18  # options of a command, on one screen
 NAMES = ("decode", "encode", "manifest", "play", "serve", "train")
+MANIFEST = ("compare", "export-page", "inspect", "rungs", "set-view", "validate")
 COMMANDS = {name: getattr(faces, f"airgs_{name}") for name in NAMES}
 PLACES = {"FOX": GOLDEN / "fox", "TWO": VALID / "two-groups-sh1", "FRAMES": FOX, "VIEWS": FOX_VIEWS}
 PLACES |= {"ONE": VALID / "one-gaussian", "TRACE": FOX / "trace.csv"}
@@ -133,6 +135,15 @@ MISTAKES["encode none"] |= {
     for text in ("1/0", "nan", "fast", "1e30000000")
 }
 ROWS = [(f"{command} {words}", says) for command, mistakes in MISTAKES.items() for words, says in mistakes.items()]
+
+
+@pytest.mark.parametrize("command", [*NAMES, *(f"manifest {name}" for name in MANIFEST)])
+def test_help_ends_with_three_examples_that_the_command_takes(command, capsys):
+    program, *arguments = command.split()
+    assert COMMANDS[program]([*arguments, "--help"]) == 0
+    title, *examples = capsys.readouterr().out.split("\n")[-5:-1]
+    assert title == "Examples:" and all(line.startswith(f"  airgs-{command} ") for line in examples)
+    assert [error for line in examples if (error := command_error(line.split(), True))] == []
 
 
 @pytest.mark.parametrize("name", [name for name in COMMANDS if name != "manifest"])

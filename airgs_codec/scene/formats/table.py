@@ -168,6 +168,13 @@ class Target:
         return self.folder and self.form is not SOG_FOLDER
 
 
+def without_ending(place: str) -> str:
+    """Return the name of a file without the ending of its format, such as .compressed.ply; others as they are."""
+    endings = (*(f".{form.key}" for form in FRAMES), *FRAME_SUFFIXES, *CLIP_SUFFIXES)
+    found = max((ending for ending in endings if place.lower().endswith(ending)), key=len, default="")
+    return place[: len(place) - len(found)]
+
+
 def choose_target(place: str, key: str | None, frames: int) -> Target:
     """Return where frames go, by the format's name or the ending of a place.
 
