@@ -162,16 +162,12 @@ def option_name(name: str) -> str:
     return re.sub("_(s|db)$", "", name).replace("_", "-")
 
 
-def examples_of(words: str) -> list[str]:
-    """Return three examples of a program or a subcommand, of a program with subcommands one of three of them."""
-    found = [line for line in EXAMPLES.splitlines() if line.startswith(f"{words} ")]
-    return found[:: len(found) // 3]
-
-
 def epilogue(words: str) -> str:
-    """Return what the help of a program or a subcommand ends with."""
-    all_options = f"{ALL} lists every option, --version says which version this is."
-    return "\n".join([all_options, "", "Examples:", *(f"  {line}" for line in examples_of(words))])
+    """Return what the help of a program or a subcommand ends with: three examples, if there are any."""
+    said = f"{ALL} lists every option, --version says which version this is."
+    found = [line for line in EXAMPLES.splitlines() if line.startswith(f"{words} ")]
+    examples = found[:: len(found) // 3 or 1]  # of a program with subcommands those of some
+    return "\n  ".join([f"{said}\n\nExamples:", *examples]) if examples else said
 
 
 def make_app(name: str, command: Callable[..., int] | None = None, about: str | None = None) -> App:
