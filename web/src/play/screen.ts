@@ -105,11 +105,19 @@ export class Screen {
     return true;
   }
 
-  /** Draw, if anything has changed and the GPU has finished the picture before. True: a picture was drawn. */
+  /** Draw, if anything has changed and the GPU has finished the picture before. True: a picture was drawn. Until there is
+   * one, what it takes is made ready.
+   */
   draw(): boolean {
-    if (!this.#dirty || !this.#shown || !this.#view || !this.#renderer || this.#renderer.busy) return false;
+    const ready = !this.#shown || (this.#dirty && !this.#renderer?.busy);
+    if (!ready || !this.#view || !this.#renderer) return false;
     const { width, height } = this.#size;
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
+    if (!this.#shown) {
+      this.#renderer.prepare(this.tables.root.sh_degree);
+      for (const { scene } of this.#stages.values()) this.#renderer.ready(scene);
+      return false;
+    }
     this.#dirty = !this.#renderer.draw(this.#shown.scene, cameraOf(this.#view, width, height));
     return !this.#dirty;
   }
