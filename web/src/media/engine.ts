@@ -18,7 +18,6 @@ import * as spaces from "./spaces.ts";
 const MOST_SEGMENTS = 2; // of which something is decoded and not shown
 const MOST_SPACES = 4; // whose positions stay for the segments over them
 const MOST_TIERS = 6; // of keyframes that stay decoded, as groups over them want them again
-const { signal: NEVER } = new AbortController();
 
 export interface Context<Event> {
   id: number;
@@ -94,7 +93,7 @@ export class Engine {
       await this.#came.until(() => over || this.#kept.has(path));
       return this.#kept.get(path) ?? Promise.reject(aborted());
     };
-    for (const { what, numbers } of paths.map((path) => locate(path)!)) {
+    for (const { what, numbers } of paths.flatMap((path) => locate(path) ?? [])) {
       const [tier, quality, number] = numbers; // as nothing is there to be shown, it is decoded at once
       if (this.ahead.idle && what === "keyframe") this.#tier({ group: number - 1, tier, quality }, read);
     }
@@ -120,7 +119,7 @@ export class Engine {
   }
 
   async canonical(name: CanonicalName, { signal }: Pick<Context<never>, "signal">): Promise<Canonical> {
-    const read = (path: string) => this.#file(path, NEVER); // others may wait for the same
+    const read = (path: string) => this.#file(path, new AbortController().signal); // others may wait for the same
     const found = await spaces.decodeCanonical(this.tables, name, (tier) => this.#tier(tier, read));
     if (signal.aborted) throw aborted();
     const { means, units, depths } = found;

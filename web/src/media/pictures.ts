@@ -14,8 +14,6 @@ export interface PictureFile {
   where: string;
 }
 
-export type PictureOptions = DecodeOptions & { first?: number | undefined };
-
 /** Decodes files of pictures one after the other, by what a probe of the browser found. */
 export class PictureDecoder {
   readonly #decoder: LumaDecoder;
@@ -32,7 +30,7 @@ export class PictureDecoder {
   async decode(
     file: PictureFile,
     take: (t: number, luma: Uint8Array) => void,
-    { first = 0, ...options }: PictureOptions = {},
+    { first = 0, ...options }: DecodeOptions = {},
   ): Promise<void> {
     const { atlas, frames, pages, checksums, where } = file;
     const { width, height } = atlas;

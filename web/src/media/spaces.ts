@@ -8,7 +8,8 @@ import type { Tables } from "../format/package.ts";
 import { deltaSteps, differenceSteps } from "../format/steps.ts";
 import type { Canonical, CanonicalName, DeltaFrame, KeyframePart } from "../format/types.ts";
 import { ESCAPE_UNIT, GREY } from "../generated/constants.ts";
-import type { PictureDecoder, PictureOptions } from "./pictures.ts";
+import type { DecodeOptions } from "./decoder.ts";
+import type { PictureDecoder } from "./pictures.ts";
 
 export type Positions = Pick<Canonical, "means" | "units" | "depths">;
 
@@ -85,7 +86,7 @@ export async function decodeDeltas(
   file: DeltaFile,
   decoder: PictureDecoder,
   take: (t: number, frame: DeltaFrame) => void,
-  options: PictureOptions,
+  options: DecodeOptions,
 ): Promise<void> {
   const { segment, group, level, positions, where } = file;
   const table = tables.group(group);

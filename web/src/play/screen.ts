@@ -105,19 +105,11 @@ export class Screen {
     return true;
   }
 
-  /** Draw, if anything has changed and the GPU has finished the picture before. True: a picture was drawn. Until there is
-   * one, what it takes is made ready.
-   */
+  /** Draw, if anything has changed and the GPU has finished the picture before. True: a picture was drawn. */
   draw(): boolean {
-    const ready = !this.#shown || (this.#dirty && !this.#renderer?.busy);
-    if (!ready || !this.#view || !this.#renderer) return false;
+    if (!this.#dirty || !this.#shown || !this.#view || !this.#renderer || this.#renderer.busy) return false;
     const { width, height } = this.#size;
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
-    if (!this.#shown) {
-      this.#renderer.prepare(this.tables.root.sh_degree);
-      for (const { scene } of this.#stages.values()) this.#renderer.ready(scene);
-      return false;
-    }
     this.#dirty = !this.#renderer.draw(this.#shown.scene, cameraOf(this.#view, width, height));
     return !this.#dirty;
   }
@@ -149,8 +141,11 @@ export class Screen {
   }
 
   #makeRenderer(): Renderer {
-    const [r = 0, g = 0, b = 0] = this.tables.root.region.background ?? [];
-    return new Renderer(this.canvas, { background: [r, g, b], target: this.options.target });
+    const { region, sh_degree } = this.tables.root;
+    const [r = 0, g = 0, b = 0] = region.background ?? [];
+    const renderer = new Renderer(this.canvas, { background: [r, g, b], target: this.options.target });
+    renderer.prepare(sh_degree);
+    return renderer;
   }
 
   /** Makes ready what a group begins with, so that its first frame can follow the one before without a pause. */
