@@ -31,17 +31,17 @@ export class Recent<Key, Value> {
   }
 
   set(key: Key, value: Value): Value {
-    this.#drop(key);
+    this.delete(key);
     this.#values.set(key, value);
     this.#size += this.sizeOf(value);
     for (const oldest of this.#values.keys()) {
       if (this.#size <= this.most || oldest === key) break;
-      this.#drop(oldest);
+      this.delete(oldest);
     }
     return value;
   }
 
-  #drop(key: Key): void {
+  delete(key: Key): void {
     const value = this.#values.get(key);
     if (value !== undefined) this.#size -= this.sizeOf(value);
     this.#values.delete(key);

@@ -68,6 +68,10 @@ export class Ahead {
     readonly segments: number,
   ) {}
 
+  get idle(): boolean {
+    return this.#open.size === 0;
+  }
+
   async place(signal: AbortSignal): Promise<void> {
     await this.#until(() => this.#open.size < this.segments, signal);
   }

@@ -130,7 +130,7 @@ export class Media {
    *
    * Frames are decoded no further ahead of those that were `taken` than 48 MB or two segments, but for one of each
    * call; an aborted signal takes all frames that are left, also after the last one came. Throws FormatError,
-   * AbortError.
+   * AbortError. Frames before the first that is wanted have neither luma nor means.
    */
   segment(
     index: number,
@@ -138,13 +138,14 @@ export class Media {
     { group, quality, tiers }: CanonicalName,
     onFrame: (t: number, frame: DeltaFrame | null) => void,
     signal?: AbortSignal,
+    first = 0,
   ): Promise<number> {
     const onEvent = ({ t, frame }: { t: number; frame: DeltaFrame | null }, id: number) => {
       if (signal?.aborted) return;
       if (frame) this.#frames.set(frame, { id, t });
       onFrame(t, frame);
     };
-    return this.#caller.call("segment", { index, level, of: { group, quality, tiers } }, { signal, onEvent });
+    return this.#caller.call("segment", { index, level, of: { group, quality, tiers }, first }, { signal, onEvent });
   }
 
   /** A frame has been shown, or is not wanted any more: others may be decoded. */

@@ -19,6 +19,7 @@ export interface Clip {
 export interface DecodeOptions {
   signal?: AbortSignal | undefined;
   room?: (() => Promise<void>) | undefined;
+  first?: number | undefined;
 }
 
 /** What becomes of the n-th picture; its samples are good until the promise resolves. */

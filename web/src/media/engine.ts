@@ -3,20 +3,21 @@ import { Recent } from "../format/collections.ts";
 import { FormatError } from "../format/errors.ts";
 import { MissingTableError } from "../format/index.ts";
 import { Tables } from "../format/package.ts";
-import { isPacked, isTable, soundPath } from "../format/paths.ts";
+import { isPacked, isTable, locate, soundPath } from "../format/paths.ts";
 import type { Canonical, CanonicalName, DeltaFrame, FileEntry } from "../format/types.ts";
 import { ATTEMPTS, HEADER_BYTES, MAX_TABLE_BYTES, POSTER_PATH, ROOT_PATH } from "../generated/constants.ts";
 import { type FileAsk, fetchBatch } from "./batch.ts";
-import { Ahead } from "./bell.ts";
+import { Ahead, Bell } from "./bell.ts";
 import { aborted, fromWire, toWire } from "./errors.ts";
 import { checkReprDigest, FileClient } from "./http.ts";
 import type { Calls, Poster, WireBatch } from "./messages.ts";
 import { PictureDecoder } from "./pictures.ts";
 import { type Probe, probeBrowser } from "./probe.ts";
-import { decodeCanonical, decodeDeltas, type Positions, type ReadFile } from "./spaces.ts";
+import * as spaces from "./spaces.ts";
 
 const MOST_SEGMENTS = 2; // of which something is decoded and not shown
 const MOST_SPACES = 4; // whose positions stay for the segments over them
+const MOST_TIERS = 6; // of keyframes that stay decoded, as groups over them want them again
 
 export interface Context<Event> {
   id: number;
@@ -27,7 +28,10 @@ export interface Context<Event> {
 export class Engine {
   /** Files that were fetched, tables aside: what is played again is not fetched again. */
   readonly #kept: Recent<string, Uint8Array>;
-  readonly #spaces = new Recent<string, Positions>(MOST_SPACES);
+  readonly #spaces = new Recent<string, spaces.Positions>(MOST_SPACES);
+  readonly #tiers = new Recent<string, Promise<spaces.Tier | null>>(MOST_TIERS);
+  /** Rings when a file has come, and when no more of a fetch will. */
+  readonly #came = new Bell();
   readonly ahead: Ahead;
   readonly #keyframes: PictureDecoder;
   readonly #deltas: PictureDecoder;
@@ -83,7 +87,20 @@ export class Engine {
       }
     }
     const expected = asks.reduce((sum, { path }) => sum + this.tables.entry(path).bytes + HEADER_BYTES, 0);
-    const batch = await fetchBatch(this.client, asks, signal, (bytes) => emit({ bytes, expected }));
+    let over = false;
+    /** Reads while files come. */
+    const read = async (path: string) => {
+      await this.#came.until(() => over || this.#kept.has(path));
+      return this.#kept.get(path) ?? Promise.reject(aborted());
+    };
+    for (const { what, numbers } of paths.flatMap((path) => locate(path) ?? [])) {
+      const [tier, quality, number] = numbers; // as nothing is there to be shown, it is decoded at once
+      if (this.ahead.idle && what === "keyframe") this.#tier({ group: number - 1, tier, quality }, read);
+    }
+    const batch = await fetchBatch(this.client, asks, signal, (bytes) => emit({ bytes, expected })).finally(() => {
+      over = true;
+      this.#came.ring();
+    });
     return {
       ...batch,
       whole: [...whole, ...batch.whole],
@@ -98,20 +115,27 @@ export class Engine {
 
   async sound({ group }: Calls["sound"]["args"], { signal }: Context<never>): Promise<Uint8Array> {
     const path = soundPath(group + 1);
-    return (await this.#gather([path], signal))(path).slice();
+    return (await this.#file(path, signal)).slice();
   }
 
   async canonical(name: CanonicalName, { signal }: Pick<Context<never>, "signal">): Promise<Canonical> {
-    const { group, quality, tiers } = name;
-    const read = await this.#gather(this.tables.keyframesOf(group, quality, tiers), signal);
-    const found = await decodeCanonical(this.tables, read, name, this.#keyframes, { signal });
+    const read = (path: string) => this.#file(path, new AbortController().signal); // others may wait for the same
+    const found = await spaces.decodeCanonical(this.tables, name, (tier) => this.#tier(tier, read));
+    if (signal.aborted) throw aborted();
     const { means, units, depths } = found;
     this.#spaces.set(nameOf(name), { means: means.slice(), units: units.slice(), depths: depths.slice() });
     return found;
   }
 
+  #tier(name: spaces.TierName, read: spaces.ReadFile): Promise<spaces.Tier | null> {
+    const key = `${name.group} ${name.quality} ${name.tier}`;
+    const tier = this.#tiers.of(key, () => spaces.decodeTier(this.tables, name, read, this.#keyframes));
+    tier.catch(() => this.#tiers.delete(key));
+    return tier;
+  }
+
   async segment(
-    { index, level, of }: Calls["segment"]["args"],
+    { index, level, of, first }: Calls["segment"]["args"],
     context: Context<Calls["segment"]["event"]>,
   ): Promise<number> {
     const { id, signal, emit } = context;
@@ -124,14 +148,14 @@ export class Engine {
       return stop - start;
     }
     const positions = this.#spaces.get(nameOf(of)) ?? (await this.canonical(of, { signal }));
-    const read = await this.#gather([where], signal);
-    const file = { ...of, segment: index, level, positions, bytes: read(where), where };
+    const file = { ...of, segment: index, level, positions, bytes: await this.#file(where, signal), where };
     const give = (t: number, frame: DeltaFrame) => {
       const { luma, means, bases } = frame;
       this.ahead.give(id, t, luma.length + means.byteLength + (bases?.slopes?.byteLength ?? 0));
       emit({ t, frame });
     };
-    await decodeDeltas(this.tables, file, this.#deltas, give, { signal, room: () => this.ahead.room(id, signal) });
+    const room = () => this.ahead.room(id, signal);
+    await spaces.decodeDeltas(this.tables, file, this.#deltas, give, { signal, room, first });
     return stop - start;
   }
 
@@ -143,28 +167,21 @@ export class Engine {
       else await Tables.check(path, entry, bytes);
       if (!isTable(path)) this.#kept.set(path, bytes);
       came.set(path, bytes);
+      this.#came.ring();
     };
     const limit = isPacked(path) ? MAX_TABLE_BYTES : entry.bytes; // a server may unpack it
     return { path, limit, attempts, patient: true, changing: false, accept };
   }
 
-  /** Resolves to what reads files; those that others took the place of are fetched again. Throws FormatError. */
-  async #gather(paths: string[], signal: AbortSignal): Promise<ReadFile> {
+  /** A file; one that others took the place of is fetched again. Throws FormatError. */
+  async #file(path: string, signal: AbortSignal): Promise<Uint8Array> {
+    const kept = this.#kept.get(path);
+    if (kept) return kept;
     const found = new Map<string, Uint8Array>();
-    const asks: FileAsk[] = [];
-    for (const path of paths) {
-      const bytes = this.#kept.get(path);
-      if (bytes) found.set(path, bytes);
-      else asks.push(this.#ask(path, ATTEMPTS, found));
-    }
-    const { refused } = await fetchBatch(this.client, asks, signal);
+    const { refused } = await fetchBatch(this.client, [this.#ask(path, ATTEMPTS, found)], signal);
     if (signal.aborted) throw aborted();
     for (const refusal of refused.values()) throw refusal;
-    return (path) => {
-      const bytes = found.get(path);
-      if (!bytes) throw new FormatError("missing_file", path, "it has not been fetched");
-      return bytes;
-    };
+    return found.get(path)!;
   }
 }
 

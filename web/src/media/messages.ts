@@ -26,7 +26,7 @@ export interface Calls {
   sound: { args: { group: number }; event: never; value: Uint8Array };
   canonical: { args: CanonicalName; event: never; value: Canonical };
   segment: {
-    args: { index: number; level: number; of: CanonicalName };
+    args: { index: number; level: number; of: CanonicalName; first?: number };
     event: { t: number; frame: DeltaFrame | null };
     value: number;
   };

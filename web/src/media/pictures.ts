@@ -24,12 +24,13 @@ export class PictureDecoder {
 
   /** Decodes a file, and gives the samples of each picture `t`, its pages one after the other, when the last is there.
    *
-   * Throws FormatError(bad_picture) for pictures of another number or size, or whose luma differs from its checksum.
+   * Of pictures before `first` it gives no samples. Throws FormatError(bad_picture) for pictures of another number or
+   * size, or whose luma differs from its checksum.
    */
   async decode(
     file: PictureFile,
     take: (t: number, luma: Uint8Array) => void,
-    options: DecodeOptions = {},
+    { first = 0, ...options }: DecodeOptions = {},
   ): Promise<void> {
     const { atlas, frames, pages, checksums, where } = file;
     const { width, height } = atlas;
@@ -38,6 +39,7 @@ export class PictureDecoder {
     const gather = (samples: Samples, n: number) => {
       const t = n % frames;
       const page = Math.floor(n / frames);
+      if (t < first) return page ? undefined : take(t, new Uint8Array());
       const luma = gathered.get(t) ?? new Uint8Array(atlasSamples(atlas));
       const part = luma.subarray(page * width * height, (page + 1) * width * height);
       readLuma(samples, width, height, this.probe.inverses, part);

@@ -13,53 +13,60 @@ import type { PictureDecoder } from "./pictures.ts";
 
 export type Positions = Pick<Canonical, "means" | "units" | "depths">;
 
-export type ReadFile = (path: string) => Uint8Array;
+/** Resolves when the file is there. */
+export type ReadFile = (path: string) => Promise<Uint8Array>;
 
-/** A canonical space, luma included. Throws FormatError. */
+export type TierName = Record<"group" | "tier" | "quality", number>;
+/** A keyframe tier with its samples; null: it has no picture. */
+export type Tier = KeyframeTier & { luma: Uint8Array | null };
+
+/** A keyframe tier; null: it has no rows. Throws FormatError. */
+export async function decodeTier(
+  tables: Tables,
+  { group, tier, quality }: TierName,
+  read: ReadFile,
+  decoder: PictureDecoder,
+): Promise<Tier | null> {
+  const [sidecar, media] = tables.keyframeFiles(group, tier, quality);
+  if (!sidecar) return null;
+  const files = await Promise.all([read(sidecar), media ? read(media) : null]);
+  const found = readKeyframeTier(tables.root, tables.group(group), { group, tier, quality }, ...files);
+  const decoded: Tier = { ...found, luma: null };
+  const take = (_: number, luma: Uint8Array) => void Object.assign(decoded, { luma });
+  if (found.pages.length) await decoder.decode({ ...found, frames: 1 }, take);
+  return decoded;
+}
+
+/** A canonical space, luma included, of tiers that stay as they are. Throws FormatError. */
 export async function decodeCanonical(
   tables: Tables,
-  read: ReadFile,
   name: CanonicalName,
-  decoder: PictureDecoder,
-  options: DecodeOptions,
+  decode: (name: TierName) => Promise<Tier | null>,
 ): Promise<Canonical> {
-  const decode = async ({ atlas, factor, pages, checksums, changes: bases, where }: KeyframeTier) => {
-    const found: KeyframePart[] = [];
-    const take = (_: number, luma: Uint8Array) => found.push({ atlas, factor, luma, bases, difference: null });
-    if (pages.length) await decoder.decode({ pages, checksums, atlas, frames: 1, where }, take, options);
-    return found[0] ?? null;
-  };
-  const base = tables.base(name.group);
-  const keyframes = readTiers(tables, read, name);
-  const whole = base === null ? keyframes : readTiers(tables, read, { ...name, group: base });
+  const groups = [name.group, tables.base(name.group) ?? []].flat();
+  const both = (tier: number) => Promise.all(groups.map((group) => decode({ ...name, group, tier })));
+  const coming = await Promise.all(Array.from({ length: name.tiers }, (_, tier) => both(tier)));
+  const tiers = coming.filter(([keyframe]) => keyframe) as Tier[][];
   const steps = differenceSteps(tables.root, tables.group(name.group), name.quality);
   const parts: KeyframePart[] = [];
   const means: Float32Array[] = [];
-  for (const [i, tier] of whole.entries()) {
-    const keyframe = keyframes[i];
-    const part = await decode(tier);
-    const difference = keyframe === tier ? null : await decode(keyframe);
-    parts.push({ ...part, difference });
+  for (const [keyframe, tier = keyframe] of tiers) {
+    const difference = keyframe === tier ? null : partOf(keyframe);
+    parts.push({ ...partOf(tier)!, difference });
     const rows = Uint32Array.from(keyframe.depths, (_, row) => row);
     const scaled = steps.map((step) => step * keyframe.factor);
     const moved = difference ? movedMeans(tier, rows, keyframe.bases, scaled, difference.luma) : tier.means;
     if (!moved.every(Number.isFinite)) throw new FormatError("bad_value", keyframe.where, "means are not finite");
     means.push(moved);
   }
-  const [depths, units] = [keyframes.map((keyframe) => keyframe.depths), whole.map((tier) => tier.units)];
+  const [depths, units] = [tiers.map(([{ depths }]) => depths), tiers.map((of) => of.at(-1)!.units)];
   const space = { means: concat(Float32Array, means), units: concat(Float32Array, units) };
   return { ...name, ...space, depths: concat(Uint8Array, depths), parts };
 }
 
-function readTiers(tables: Tables, read: ReadFile, { group, quality, tiers }: CanonicalName): KeyframeTier[] {
-  const found: KeyframeTier[] = [];
-  for (let tier = 0; tier < tiers; tier++) {
-    const [sidecar, media] = tables.keyframeFiles(group, tier, quality);
-    if (!sidecar) continue;
-    const place = { group, tier, quality };
-    found.push(readKeyframeTier(tables.root, tables.group(group), place, read(sidecar), media ? read(media) : null));
-  }
-  return found;
+/** What is given away of a tier. */
+function partOf({ atlas, factor, luma, changes }: Tier): KeyframePart | null {
+  return luma && { atlas, factor, luma: luma.slice(), bases: structuredClone(changes), difference: null };
 }
 
 const AXES = 3; // the first delta channels: means
@@ -93,11 +100,11 @@ export async function decodeDeltas(
   const rise = (_: number, luma: Uint8Array) => {
     slopes = slopeCodes(luma, front!.bases);
   };
-  if (front) await decoder.decode({ ...deltas, ...front, frames: 1, where }, rise, options);
+  if (front) await decoder.decode({ ...deltas, ...front, frames: 1, where }, rise, { ...options, first: 0 });
   const show = (t: number, luma: Uint8Array) => {
     const time = front ? (2 * t) / (frames - 1) - 1 : 0;
     const changes = bases.next(t, t ? null : slopes?.slice()); // the page gets them, others stay here
-    const means = movedMeans(positions, carried, bases, steps, luma, slopes, time);
+    const means = luma.length ? movedMeans(positions, carried, bases, steps, luma, slopes, time) : new Float32Array();
     take(t, { luma, bases: changes, time, means });
   };
   await decoder.decode({ ...deltas, where }, show, options);

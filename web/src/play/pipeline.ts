@@ -107,8 +107,9 @@ export class Pipeline {
     return null;
   }
 
-  async #decode({ position, rung }: Slot, signal: AbortSignal): Promise<void> {
+  async #decode(slot: Slot, signal: AbortSignal): Promise<void> {
     const { media, offers, playout, onProgress, onProblem } = this.parts;
+    const { position, rung } = slot;
     if (rung === null) return;
     playout.commit(position);
     try {
@@ -125,7 +126,9 @@ export class Pipeline {
         frames[t] = frame;
         onProgress();
       };
-      await media.segment(segment, level, canonical, take, signal);
+      const done = media.segment(segment, level, canonical, take, signal, playout.skipped(slot));
+      onProgress(); // its scene is made meanwhile
+      await done;
     } catch (error) {
       if (signal.aborted) return;
       onProblem(error);

@@ -117,7 +117,11 @@ export class Playback {
     });
     this.#pipeline = new Pipeline({
       ...parts,
-      onProgress: () => this.#try(() => this.#prepare()),
+      onProgress: () => {
+        this.#try(() => this.#prepare());
+        const awaited = this.#sought !== null || !this.#shown;
+        if (awaited && !this.headset && !document.hidden) this.step(() => this.screen.draw()); // displays may be slow to ask
+      },
       onProblem: (error) => this.#problem(error, false),
     });
     this.screen = new Screen(canvas, media.tables, {
@@ -244,7 +248,7 @@ export class Playback {
 
   #prepare(): void {
     const clips = [...this.#pipeline.clips];
-    for (const clip of clips) if (clip.frames[0] !== undefined) this.screen.prepare(clip);
+    for (const clip of clips) this.screen.prepare(clip);
     this.screen.retain(new Set(clips.map((clip) => clip.canonical)));
   }
 

@@ -100,6 +100,11 @@ export class Playout {
     this.truncate(-Infinity);
   }
 
+  /** Frames of a segment that nobody will see, as playing begins after them. */
+  skipped(slot: Slot): number {
+    return slot === this.slots[0] ? Math.min(slot.frames - 1, Math.floor(this.skipS * this.offers.fps + EARLY)) : 0;
+  }
+
   commit(position: number): void {
     const slot = this.slots.find((one) => one.position === position);
     if (slot) slot.committed = true;
@@ -117,7 +122,8 @@ export class Playout {
     const place = this.schedule.at(nowS);
     const slot = this.slots.findLast((one) => one.startAt <= place);
     if (!slot) return null;
-    return { slot, frame: Math.min(slot.frames - 1, Math.floor((place - slot.startAt) * this.offers.fps + EARLY)) };
+    const frame = Math.floor((place - slot.startAt) * this.offers.fps + EARLY);
+    return { slot, frame: Math.min(slot.frames - 1, Math.max(this.skipped(slot), frame)) };
   }
 
   /** Whether there is nothing to go on with: before playing begins, in a stall, and after the end. */
@@ -285,6 +291,7 @@ export class Playout {
     const count = Math.min(past, this.firstUnseen, this.firstWaiting - 1);
     if (count <= 0) return;
     this.slots.splice(0, count);
+    this.skipS = 0;
     this.firstWaiting -= count;
     this.firstUnseen -= count;
   }

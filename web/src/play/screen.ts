@@ -141,8 +141,11 @@ export class Screen {
   }
 
   #makeRenderer(): Renderer {
-    const [r = 0, g = 0, b = 0] = this.tables.root.region.background ?? [];
-    return new Renderer(this.canvas, { background: [r, g, b], target: this.options.target });
+    const { region, sh_degree } = this.tables.root;
+    const [r = 0, g = 0, b = 0] = region.background ?? [];
+    const renderer = new Renderer(this.canvas, { background: [r, g, b], target: this.options.target });
+    renderer.prepare(sh_degree);
+    return renderer;
   }
 
   /** Makes ready what a group begins with, so that its first frame can follow the one before without a pause. */

@@ -243,8 +243,9 @@ export class Session {
     const { atS, firstByteS, bytes } = arrival;
     if (request.kind === "tables") {
       const bound = { bytes, seconds: Math.max(atS - request.sentS, SHORTEST_S) };
-      // What comes in one burst is too short to tell the rate, but not that it is no less.
-      if (!arrival.cached && bytes / bound.seconds > stores.first.bytes / stores.first.seconds) stores.first = bound;
+      // What comes in one burst is too short to tell the rate, but not that it is no less; airgs.json came before.
+      const asked = !arrival.cached && atS > request.sentS;
+      if (asked && bytes / bound.seconds > stores.first.bytes / stores.first.seconds) stores.first = bound;
       return arrival;
     }
     if (!arrival.cached && !this.signal.aborted) {

@@ -90,14 +90,17 @@ export class Renderer {
     return false;
   }
 
+  /** Begins to compile what scenes of a degree of spherical harmonics need. */
+  prepare(degree: number): void {
+    if (this.lost) return;
+    const source = () => ({ vertex: WHOLE, fragment: projection(degree, colourChannels(degree)), samplers: SAMPLERS });
+    this.#programs.prepare(PROJECTION + degree, source);
+    prepareKeyframes(this.#programs, degree);
+  }
+
   /** A group, of which it shows the canonical space first. Throws RenderError for more than the textures here hold. */
   scene(root: Root, group: Group, canonical: Canonical): Scene {
-    if (!this.lost) {
-      const fragment = () => projection(root.sh_degree, colourChannels(root.sh_degree));
-      const source = () => ({ vertex: WHOLE, fragment: fragment(), samplers: SAMPLERS });
-      this.#programs.prepare(PROJECTION + root.sh_degree, source);
-      prepareKeyframes(this.#programs, root.sh_degree);
-    }
+    this.prepare(root.sh_degree);
     const scene = new Scene(this.#gl, root, group, canonical);
     scene.freed = this.lost;
     this.#scenes.add(scene);

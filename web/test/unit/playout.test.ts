@@ -143,6 +143,23 @@ test("after a seek playing begins anew, within the segment that was sought", () 
   assert.deepEqual([made.stalls, made.stallS], [0, 0]);
 });
 
+test("frames before the one that was sought are skipped, also while that is decoded", () => {
+  const made = playout({ decodeFrameS: 0.25 });
+  made.restart(0.5);
+  for (const position of [3, 4]) made.enqueue(position, 0, 10);
+  assert.deepEqual(
+    made.slots.map((slot) => made.skipped(slot)),
+    [5, 0],
+  );
+  assert.deepEqual(
+    [on(made, 10), on(made, 10.5)],
+    [
+      [3, 5],
+      [3, 7],
+    ],
+  );
+});
+
 test("what was cut off is fetched anew without a stall", () => {
   const made = filled(3);
   made.commit(1);

@@ -120,3 +120,23 @@ test("the sessions hold what is rare", () => {
     "tables between batches",
   );
 });
+
+test("airgs.json that came before it was asked for says nothing of the link", async () => {
+  class Opened extends SimulatedDownloader {
+    override async fetch(request: Request, giveUp: GiveUp | null, signal: AbortSignal) {
+      const arrival = await super.fetch(request, giveUp, signal);
+      return request.batch.tables[0] === ROOT_PATH ? { ...arrival, atS: request.sentS - 1 } : arrival;
+    }
+  }
+  const offers = new Offers(new NumberTables(packages[0]));
+  const stores = new Stores(offers);
+  const parts = { offers, settings: rulesOf({}), policy: makePolicy("robust-mpc", offers), stores };
+  const trace = new Trace([0], [1e6], 1000);
+  const downloader = new Opened({ trace, rttS: 0.05, faults: {} }, offers);
+  const session = new Session(
+    { ...parts, downloader, playout: playoutOf(offers, parts.settings) },
+    new AbortController().signal,
+  );
+  for await (const event of session.run()) if (event.type === "shown") break;
+  assert.ok((8 * stores.first.bytes) / stores.first.seconds <= 1e6);
+});
