@@ -54,6 +54,7 @@ from airgs_codec.package.tables import World
 from airgs_codec.places.place import is_address
 from airgs_codec.places.whole import expect_folder_name, expect_plain
 from airgs_codec.render.backend import open_renderer
+from airgs_codec.render.cpu import compile_ahead
 from airgs_codec.scene.beside import read_attribution
 from airgs_codec.scene.formats.table import without_ending
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
@@ -106,6 +107,8 @@ def encode(options: Encode) -> int:
     place = options.scene.rstrip("/") if is_address(options.scene) else Path(options.scene).resolve()
     target = options.output or f"{without_ending(str(place))}{PACKAGE_ENDING}"
     expect_folder_name(target, PACKAGE_ENDING)
+    if options.device != "cuda":
+        compile_ahead()
     if options.follow:
         return _follow(options, settings, plan, target)
     quiet = options.json or options.plan is True

@@ -59,7 +59,8 @@ def change_rows(column: NDArray[Any], rows: NDArray[np.intp], base: NDArray[Any]
     """Write rows (n,) of a column: those of `base` plus changes (k, n); quaternions are turned by rotation vectors."""
     width = base.shape[1] if base.ndim > 1 else 1
     if loop := worth_compiling(_turn if (turned := width == 4) else _add, 0):
-        loop(column.reshape(-1, width), rows, base.reshape(-1, width), changes)
+        plain = (np.require(values, None, ["C", "W"]) for values in (base.reshape(-1, width), changes))
+        loop(column.reshape(-1, width), rows, *plain)  # of others the loop would be compiled again
     else:
         values = multiply(to_quaternions(changes), base) if turned else base + changes.T.reshape(base.shape)
         column[consecutive(rows)] = values

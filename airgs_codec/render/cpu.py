@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import importlib
 import os
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -37,6 +38,7 @@ FAR_PLANE = 1e18  # world units along the view axis: the square of more is no fl
 DILATION = 0.3  # px^2 added to the projected covariance, as gsplat and INRIA do
 
 _LOCK = threading.Lock()  # numba's thread layers abort when two threads run parallel kernels
+_AHEAD: list[subprocess.Popen[bytes]] = []  # what compiles kernels of gradients
 POOLED = [kernels]  # modules whose kernels numba's pool of threads works on
 
 
@@ -292,6 +294,8 @@ def gradients(
 
 def _pair_gradients(blended: Blended, grad_rgb: Floats, grad_transmittance: Floats, statistics: bool | None) -> Floats:
     """Return (M, 12) of `kernels.blend_gradient`; `statistics` True and None compile different kernels."""
+    if _AHEAD:
+        _AHEAD.pop().wait()
     p, picture = blended.projected, blended.picture
     pairs = np.empty((len(p.slots), 12), np.float32)
     given = (picture.rgb, picture.transmittance, blended.visited, grad_rgb, grad_transmittance)
@@ -338,9 +342,33 @@ def _seen_by(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64], 
     return view, intrinsics, camera.width, camera.height, camera.near, FAR_PLANE, DILATION
 
 
+def compile_ahead() -> None:
+    """Let another process compile the kernels of gradients, where numba's cache has none yet, until they are needed."""
+    if not _is_cached(kernels.project_gradient):
+        code = f"from {__name__} import compile_gradients; compile_gradients()"
+        with suppress(OSError):  # they are compiled when they are needed
+            _AHEAD.append(subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.DEVNULL))
+
+
+def compile_gradients() -> None:
+    """Compile what gradients and statistics take into numba's cache, by those of an empty scene."""
+    inputs = RasterInputs(*(np.zeros((0, *shape), np.float32) for shape in ((3,), (4,), (3,), (), (1, 3))))
+    picture = Render(np.zeros((TILE, TILE, 3), np.float32), np.ones((TILE, TILE), np.float32))
+    none, start, every = np.zeros(0, np.int32), np.zeros(2, np.int64), np.ones(1, np.bool_)
+    flat = np.zeros((0, 12), np.float32)
+    p = Projected((TILE, TILE), (1, 1), flat, start, none, every, none, start[:1], none)
+    camera = Camera("", TILE, TILE, 1.0, 1.0, 0.0, 0.0, np.eye(4))
+    blended = Blended(inputs, camera, picture, p, np.zeros(1, np.int32), every[:0])
+    _sum_gradients(blended, _pair_gradients(blended, picture.rgb, picture.transmittance, True))
+
+
+def _is_cached(kernel: Any) -> bool:
+    path = kernel.stats.cache_path
+    return not path or any(Path(path).glob(f"cpu_kernels.{kernel.py_func.__name__}-*.nbi"))
+
+
 @cache
 def _announce() -> None:
     """Say once that kernels are compiled, when numba's cache has none yet."""
-    path = kernels.project.stats.cache_path
-    if path and not any(Path(path).glob("cpu_kernels.project-*.nbi")):
-        print("compiling the renderer's kernels (about 30 s, once)", file=sys.stderr)
+    if not _is_cached(kernels.project):
+        print("compiling the renderer's kernels (about 15 s, once)", file=sys.stderr)

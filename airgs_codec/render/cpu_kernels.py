@@ -21,6 +21,7 @@ height of the ellipse alpha >= 1/255, 11 opacity. Columns of `pairs` (M, 12) and
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit, prange
@@ -32,6 +33,7 @@ TILE_PIXELS = TILE_SIDE * TILE_SIDE
 ROW_CHUNKS, BIN_CHUNKS = 64, 16  # of Gaussians that threads project, and sort into tiles, side by side
 # Never nnan or ninf: they would delete the comparisons that keep NaN and Inf out.
 FAST = {"reassoc", "contract", "arcp", "nsz", "afn"}
+INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # of functions that kernels alone call
 f4 = np.float32
 
 # Real spherical harmonics of bands 1 to 3, with the signs of the INRIA files.
@@ -49,7 +51,7 @@ T_MIN = f4(1e-4)
 LINEAR_MARGIN = 0.15  # of the picture, on each side, in which projections are still linearised in their own place
 
 
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, **INNER)
 def sh_basis(deg, x, y, z, b):
     """Basis values in direction (x, y, z), unit length, into b (16,)."""
     b[0] = SH_C0
@@ -72,58 +74,54 @@ def sh_basis(deg, x, y, z, b):
             b[15] = C36 * x * (xx - 3 * yy)
 
 
-@njit(fastmath=FAST)
-def _slope(basis, k, dx, dy, dz):
-    basis[1, k], basis[2, k], basis[3, k] = dx, dy, dz
-
-
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, **INNER)
 def sh_basis_grad(deg, x, y, z, basis):
     """Derivatives of the basis by x, y and z into rows 1 to 3 of basis (4, 16)."""
-    _slope(basis, 0, 0.0, 0.0, 0.0)
+    dx, dy, dz = basis[1], basis[2], basis[3]
+    dx[0], dy[0], dz[0] = 0.0, 0.0, 0.0
     if deg > 0:
-        _slope(basis, 1, 0.0, -SH_C1, 0.0)
-        _slope(basis, 2, 0.0, 0.0, SH_C1)
-        _slope(basis, 3, -SH_C1, 0.0, 0.0)
+        dx[1], dy[1], dz[1] = 0.0, -SH_C1, 0.0
+        dx[2], dy[2], dz[2] = 0.0, 0.0, SH_C1
+        dx[3], dy[3], dz[3] = -SH_C1, 0.0, 0.0
     if deg > 1:
-        _slope(basis, 4, C20 * y, C20 * x, 0.0)
-        _slope(basis, 5, 0.0, C21 * z, C21 * y)
-        _slope(basis, 6, -2 * C22 * x, -2 * C22 * y, 4 * C22 * z)
-        _slope(basis, 7, C23 * z, 0.0, C23 * x)
-        _slope(basis, 8, 2 * C24 * x, -2 * C24 * y, 0.0)
+        dx[4], dy[4], dz[4] = C20 * y, C20 * x, 0.0
+        dx[5], dy[5], dz[5] = 0.0, C21 * z, C21 * y
+        dx[6], dy[6], dz[6] = -2 * C22 * x, -2 * C22 * y, 4 * C22 * z
+        dx[7], dy[7], dz[7] = C23 * z, 0.0, C23 * x
+        dx[8], dy[8], dz[8] = 2 * C24 * x, -2 * C24 * y, 0.0
     if deg > 2:
         xx, yy, zz = x * x, y * y, z * z
-        _slope(basis, 9, C30 * 6 * x * y, C30 * (3 * xx - 3 * yy), 0.0)
-        _slope(basis, 10, C31 * y * z, C31 * x * z, C31 * x * y)
-        _slope(basis, 11, -2 * C32 * x * y, C32 * (4 * zz - xx - 3 * yy), 8 * C32 * y * z)
-        _slope(basis, 12, -6 * C33 * x * z, -6 * C33 * y * z, C33 * (6 * zz - 3 * xx - 3 * yy))
-        _slope(basis, 13, C34 * (4 * zz - 3 * xx - yy), -2 * C34 * x * y, 8 * C34 * x * z)
-        _slope(basis, 14, 2 * C35 * x * z, -2 * C35 * y * z, C35 * (xx - yy))
-        _slope(basis, 15, C36 * (3 * xx - 3 * yy), -6 * C36 * x * y, 0.0)
+        dx[9], dy[9], dz[9] = C30 * 6 * x * y, C30 * (3 * xx - 3 * yy), 0.0
+        dx[10], dy[10], dz[10] = C31 * y * z, C31 * x * z, C31 * x * y
+        dx[11], dy[11], dz[11] = -2 * C32 * x * y, C32 * (4 * zz - xx - 3 * yy), 8 * C32 * y * z
+        dx[12], dy[12], dz[12] = -6 * C33 * x * z, -6 * C33 * y * z, C33 * (6 * zz - 3 * xx - 3 * yy)
+        dx[13], dy[13], dz[13] = C34 * (4 * zz - 3 * xx - yy), -2 * C34 * x * y, 8 * C34 * x * z
+        dx[14], dy[14], dz[14] = 2 * C35 * x * z, -2 * C35 * y * z, C35 * (xx - yy)
+        dx[15], dy[15], dz[15] = C36 * (3 * xx - 3 * yy), -6 * C36 * x * y, 0.0
 
 
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, **INNER)
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, **INNER)
 def _times(a, b):
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, **INNER)
 def _column(matrix, k):
     return matrix[0][k], matrix[1][k], matrix[2][k]
 
 
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, **INNER)
 def _row_by(a, matrix):
     """Return a row vector times a matrix of three rows."""
     return _dot(a, _column(matrix, 0)), _dot(a, _column(matrix, 1)), _dot(a, _column(matrix, 2))
 
 
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, **INNER)
 def _rotation(w, x, y, z):
     """Return rows of the rotation matrix of a unit quaternion."""
     return (
@@ -133,7 +131,7 @@ def _rotation(w, x, y, z):
     )
 
 
-@njit
+@njit(**INNER)
 def _lens(view, intrinsics, W, H):
     """Return what projections of a camera need: focal lengths, bounds of u and v in which J is taken, centre.
 
@@ -155,19 +153,19 @@ def _three(values, i):
     return float(values[i, 0]), float(values[i, 1]), float(values[i, 2])
 
 
-@njit
+@njit(**INNER)
 def _put(table, i, values):
     for c in range(len(values)):
         table[i, c] = values[c]
 
 
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, **INNER)
 def _see(view, row, p):
     """One coordinate of a point in camera space."""
     return _dot(view[row], p) + view[row, 3]
 
 
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, **INNER)
 def _unit(quaternions, i):
     """Unit quaternion of a row and 1 / its length; a zero one (or one too short to tell) is identity with 0.
 
@@ -190,7 +188,7 @@ def _unit(quaternions, i):
     return w * inv, x * inv, y * inv, z * inv, inv
 
 
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, **INNER)
 def _jacobian(lens, view, u, v, iz):
     """u and v bounded, and the rows of J R, the derivative of the pixel position by the world position (EWA)."""
     uc = min(max(u, lens[2]), lens[3])
@@ -202,7 +200,7 @@ def _jacobian(lens, view, u, v, iz):
     return uc, vc, t0, t1
 
 
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, **INNER)
 def _direction(lens, p):
     """Unit vector from the camera to a point, and 1 / the distance; 0, not NaN, for a point on the camera centre."""
     dx, dy, dz = p[0] - lens[6], p[1] - lens[7], p[2] - lens[8]
@@ -210,7 +208,7 @@ def _direction(lens, p):
     return dx * dn, dy * dn, dz * dn, dn
 
 
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, **INNER)
 def _colour(deg, lens, p, sh, i, b):
     """Unclamped colour of a row seen from the camera; b (16,) is scratch."""
     x, y, z, _ = _direction(lens, p)
@@ -221,7 +219,7 @@ def _colour(deg, lens, p, sh, i, b):
     return c0, c1, c2
 
 
-@njit(fastmath=FAST)
+@njit(fastmath=FAST, **INNER)
 def _colour_gradient(deg, lens, p, sh, i, g, basis, grad_sh):
     """Gradient of a row's colour by its coefficients, into grad_sh, and by its mean, returned; basis (4, 16)."""
     nk = (deg + 1) * (deg + 1)
@@ -344,7 +342,7 @@ def _xrange(flat, i, ty, tiles_x):
     return a, b
 
 
-@njit
+@njit(**INNER)
 def _ntiles(flat, i, drawn, tiles_x, tiles_y):
     """Tiles that the ellipse touches, of those that are drawn."""
     a, b = _rows(flat, i, tiles_y)
@@ -464,13 +462,13 @@ def _all_finished(buf):
     return most <= f4(0.0)
 
 
-@njit
+@njit(**INNER)
 def _bits(x):
     """Return the bits of a float32; from 0 on they are ordered as the numbers are, and their maximum vectorises."""
     return np.float32(x).view(np.int32)
 
 
-@njit
+@njit(**INNER)
 def _from_bits(x):
     """Inverse of `_bits`."""
     return np.int32(x).view(np.float32)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.render import backend, cuda, measure_contribution
+from airgs_codec.render import backend, cpu, cuda, measure_contribution
+from airgs_codec.render import cpu_kernels as kernels
 from airgs_codec.render.cpu import activate, blend, gradients, project
 from airgs_codec.render.reference import blending_weights, render_reference
 from tests.faces import CPU, Camera, ConfigError, RasterInputs, Redraw, render
@@ -220,3 +221,22 @@ def test_a_device_that_cannot_run_is_refused_and_auto_takes_cuda_where_gsplat_ru
     monkeypatch.setattr(backend, "_missing", lambda: None)
     assert backend.open_renderer("auto").device == backend.open_renderer("cuda").device == "cuda"
     assert "gsplat" not in sys.modules
+
+
+def test_another_process_compiles_what_gradients_take(monkeypatch):
+    def signatures():
+        return [
+            len(kernel.signatures) for kernel in (kernels.blend_gradient, kernels.sum_pairs, kernels.project_gradient)
+        ]
+
+    view, shown = camera(), cpu.Loaded(activate(random_gaussians(50, 1, 0)))
+    cpu.compile_ahead()
+    assert not cpu._AHEAD  # all is in numba's cache
+    monkeypatch.setattr(cpu, "_is_cached", lambda kernel: False)
+    cpu.compile_ahead()
+    (process,) = cpu._AHEAD
+    shown.contribution_and_gradients(view, np.zeros((view.height, view.width, 3), np.float32))
+    assert process.returncode == 0 and not cpu._AHEAD
+    before = signatures()
+    cpu.compile_gradients()
+    assert signatures() == before
