@@ -45,7 +45,6 @@ from airgs_codec.encoder.publish import encode as publish
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings, as_fast, as_in_paper
 from airgs_codec.encoder.target import DELTA_E, PSNR, SIZE, Goal
 from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.report import write_report
 from airgs_codec.inspect.summary import format_ladder
 from airgs_codec.media.movie import encode_sound
 from airgs_codec.package.package import open_package
@@ -135,6 +134,8 @@ def encode(options: Encode) -> int:
         how: Given = {"goal": goal, "executor": work.executor, "progress": bar}
         done = publish(sequence, target, settings, plan=plan, work=stored, **how)
         if options.report:
+            from airgs_codec.inspect.report import write_report  # loads what draws and plays, too
+
             write_report(options.report, sequence, open_package(target), done, bar)
     for decision in done.manifest.decisions:
         if decision.startswith(GUESS):

@@ -23,8 +23,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import Bounds, LinearConstraint, milp
-from scipy.sparse import csr_array
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.offers import NO_KEYFRAMES, Keyframe, Keyframes, SegmentOffer
@@ -60,6 +58,9 @@ def solve_horizon(
     after the first: 0 for a player that sends its next request a round trip before the last batch ends, and in a
     bound. Raises ConfigError for a horizon without slots.
     """
+    from scipy.optimize import Bounds, LinearConstraint, milp  # no other part of a player needs it
+    from scipy.sparse import csr_array
+
     if not horizon:
         raise ConfigError("horizon: expected at least one slot")
     programme = _Programme(horizon, decoded, idle_bytes)
