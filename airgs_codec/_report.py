@@ -1,14 +1,12 @@
 """The one page of every report: sections of words, pictures and tables.
 
-matplotlib is an optional dependency (the extra `plot`) and half a second of imports: it is imported here alone, and
-only when a figure is made.
+matplotlib takes half a second to import: it is imported here alone, and only when a figure is made.
 """
 
 from __future__ import annotations
 
 import base64
 import html
-import importlib.util
 import io
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -93,7 +91,6 @@ class PagePicture:
 
     def write(self, target: Path | io.BytesIO, form: str | None = None) -> None:
         """Draw the chart in a form, or in that of the name's ending. Raises ConfigError where that cannot be done."""
-        require_matplotlib("a picture")
         from matplotlib import rc_context
         from matplotlib.figure import Figure
 
@@ -170,9 +167,3 @@ def listed(names: Sequence[str], most: int = 6) -> str:
     if len(names) > most:
         names = [*names[: most - 1], f"{len(names) - most + 1} more"]
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
-
-
-def require_matplotlib(wanted: str) -> None:
-    """Raise ConfigError unless matplotlib is installed; `wanted` names what needs it, such as an option."""
-    if importlib.util.find_spec("matplotlib") is None:
-        raise ConfigError(f"{wanted} needs matplotlib: pip install 'airgs-codec[plot]'")

@@ -226,7 +226,7 @@ def test_encoding_is_one_stage_that_ends_where_it_was_said_to(tmp_path):
 
 WITHOUT_EXTRAS = """
 import sys
-for name in ("torch", "gsplat", "matplotlib"):
+for name in ("torch", "gsplat"):
     sys.modules[name] = None  # an import of it fails as where it is not installed
 from airgs_codec.cli import decode, encode, manifest, play, train
 options = ["--calibrate", "none", "--measure-pictures", "2", "--x264-preset", "ultrafast"]
@@ -235,16 +235,16 @@ assert decode.main(["scene.airgs", "-o", "decoded"]) == 0
 assert manifest.main(["validate", "scene.airgs", "--against", "scene"]) == 0
 assert manifest.main(["inspect", "scene.airgs"]) == 0
 assert play.main(["scene.airgs", "--trace", "const:5"]) == 0
-assert play.main(["scene.airgs", "--trace", "const:5", "--report", "report"]) == 2
-assert manifest.main(["inspect", "scene.airgs", "--plot", "plot.png"]) == 2
+assert play.main(["scene.airgs", "--trace", "const:5", "--report", "report"]) == 0
+assert manifest.main(["inspect", "scene.airgs", "--plot", "plot.png"]) == 0
 assert train.main(["scene", "-o", "model"]) == 2
 """
 
 
-def test_all_but_training_and_pictures_works_without_the_extras(tmp_path):
+def test_all_but_training_works_without_the_extras(tmp_path):
     write_sequence(tmp_path / "scene", moving_frames(300, 3))
     said = [line for line in python(tmp_path, "-c", WITHOUT_EXTRAS).splitlines() if "pip install" in line]
-    assert [("plot" in line, "train" in line) for line in said] == [(True, False), (True, False), (False, True)]
+    assert len(said) == 1 and "train" in said[0]
 
 
 def smallest(state):

@@ -3,7 +3,6 @@
 import itertools
 import math
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from airgs_codec._report import Page, PagePicture, Table, answered, listed
 from airgs_codec.encoder.plan import Choice
 from airgs_codec.inspect.report import advice, write_report
 from tests import faces
-from tests.faces import ConfigError, airgs_manifest, airgs_play, airgs_train
+from tests.faces import ConfigError
 from tests.support.manifests import tiny_manifest
 from tests.support.paths import VALID
 from tests.support.regions import region
@@ -35,24 +34,6 @@ def test_a_table_is_the_same_rows_as_text_and_as_html_and_long_lists_of_names_ar
     ]
     assert [listed(list("abc")[:most]) for most in (1, 2, 3)] == ["a", "a and b", "a, b and c"]
     assert listed(list("abcdefg")) == "a, b, c, d, e and 2 more"
-
-
-@pytest.mark.parametrize(("main", "words"), [
-    (airgs_play, "none --trace const:1 --policy fixed:0 --report"), (airgs_manifest, "inspect none --plot"),
-    (airgs_train, "none -o out --report"),
-])  # fmt: skip
-def test_without_matplotlib_pictures_are_refused_before_the_work(main, words, tmp_path, monkeypatch, capsys):
-    """What is looked at does not exist here: what is refused first must be the picture."""
-    for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.chdir(tmp_path)
-    assert main([*words.split(), "picture.png"]) == 2
-    error = capsys.readouterr().err
-    assert f"{words.split()[-1]} needs matplotlib: pip install 'airgs-codec[plot]'" in error and error.count("\n") == 1
-    assert not list(tmp_path.iterdir())
-    with pytest.raises(ConfigError, match="a picture needs matplotlib"):
-        chart("").write(tmp_path / "picture.png")
 
 
 def chart(caption):

@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import (
     AXIS,
@@ -44,7 +43,6 @@ def inspect(options: Inspect) -> int:
     from airgs_codec.inspect.summary import format_summary, plot_ladder, summarise
 
     if options.plot:
-        require_matplotlib("--plot")
         expect_folder(options.plot.absolute().parent)
     package = open_package(options.package)
     tables = package.manifest, package.manifest_bytes

@@ -21,7 +21,6 @@ from cyclopts import App, CycloptsError, Group, Parameter
 from cyclopts.validators import Number
 
 from airgs_codec import __version__
-from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import default_of, setting
 from airgs_codec.cli.terminal import Bar, run_command, warn
 from airgs_codec.errors import ConfigError
@@ -297,9 +296,8 @@ def open_frames(place: str, *, quiet: bool = False, **how: Any) -> GaussianSeque
 
 
 def expect_report(folder: Path | None) -> None:
-    """Raise ConfigError where a report cannot be drawn, or a file is where its folder should be."""
+    """Raise ConfigError where a file is where the folder of a report should be."""
     if folder:
-        require_matplotlib("--report")
         expect_folder(folder)
 
 

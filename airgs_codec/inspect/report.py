@@ -29,7 +29,7 @@ def write_report(
 ) -> Path:
     """Write index.html with the answer, a chart and the worst picture, and give its path.
 
-    `given`: what was encoded, as it came. Raises ConfigError when they cannot be written, or without matplotlib.
+    `given`: what was encoded, as it came. Raises ConfigError when they cannot be written.
     """
     a, b, m = open_side(given, name="given"), open_side(package, name="encoded"), package.manifest
     words, views = shared_views(a, b)

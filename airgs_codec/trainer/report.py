@@ -29,7 +29,7 @@ FAR_DB = 3.0  # under the mean, or under the training views, from which somethin
 def write_report(model: ModelFolder, pictures: ScenePictures, directory: Path, renderer: Renderer = CPU) -> Path:
     """Write index.html with the answer, a chart, and pictures of the worst and the first frame; return its path.
 
-    Raises ConfigError when they cannot be written, or without matplotlib.
+    Raises ConfigError when they cannot be written.
     """
     record, camera = model.record, ""
     worst, first = min(record.frames, key=_shown_db).frame, record.frames[0].frame

@@ -20,7 +20,6 @@ from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import default_of, required, setting
 from airgs_codec.cli.options import as_options, make_app, run_program
 from airgs_codec.cli.terminal import Bar  # before all that loads numba
@@ -111,7 +110,6 @@ def _command(experiment: Experiment, words: Sequence[str]) -> Callable[..., int]
     module = importlib.import_module(experiment.module)
 
     def command(options: Any, output: Output) -> int:
-        require_matplotlib("a page")
         folder, begun = output.output or OUTPUT / experiment.name, time.perf_counter()
         measurement = measurement_of(output.publish, words) if output.publish else None
         said = f"{PROGRAM} {measurement.words if measurement else shlex.join(words)}"

@@ -106,7 +106,7 @@ def markdown_table(one: Table) -> str:
 def write_page(page: Page, made: Made, folder: Path) -> None:
     """Write NAME.md, the pictures that the page shows, and NAME.json with all figures.
 
-    Raises ConfigError without matplotlib, OSError.
+    Raises ConfigError and OSError.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for picture in (picture for section in page.sections for picture in section.pictures):
