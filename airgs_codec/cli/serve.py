@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import resource
 import signal
 import socket
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from urllib.parse import quote
@@ -40,8 +40,11 @@ def serve(options: Serve) -> int:
     if certificate:
         check_certificate(*certificate)
     listening = listen(options.host, options.port)
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)  # open files that the system lets this process have
-    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    with suppress(ImportError, ValueError):  # Windows has none; macOS says "no limit" and refuses to set it
+        import resource
+
+        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)  # open files that the system lets this process have
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     say(_greeting(packages, listening, "https" if certificate else "http"))
     asyncio.run(_serve(packages, listening, certificate))
     say("stopped")

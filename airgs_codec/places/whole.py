@@ -8,7 +8,6 @@ work on a network disk too, those of folders only among the processes of one mac
 from __future__ import annotations
 
 import errno
-import fcntl
 import json
 import math
 import mimetypes
@@ -25,6 +24,11 @@ from tokenize import TokenError
 from typing import Any
 
 from airgs_codec.errors import AirgsError, ConfigError
+
+try:
+    import fcntl
+except ImportError:  # on Windows, which has no such locks: there packages are only read
+    fcntl = None  # type: ignore[assignment]
 
 _PART = re.compile(r"(.*/)?\.([^/]+)\.[0-9a-f]{16}\.part")  # what `atomic_path` writes, below any folder
 _MARK_NAME, _MARK = "airgs-unfinished", b"airgs-codec makes a folder here; nothing else may be put beside it\n"
@@ -190,6 +194,7 @@ def written_alone(folder: Path, wait_s: float | None = None) -> Iterator[None]:
 
 def _lock_of(folder: Path) -> int | None:
     """Return an open folder whose lock this process has; None where another has it or has just replaced the folder."""
+    _expect_locks(folder)
     with suppress(FileNotFoundError), ExitStack() as opened:
         lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         opened.callback(os.close, lock)
@@ -238,7 +243,14 @@ def _finish(path: Path) -> None:
         os.fsync(file.fileno())
 
 
+def _expect_locks(path: Path) -> None:
+    if fcntl is None:
+        words = "expected file locks of POSIX, which are not here; on Windows use WSL"
+        raise ConfigError(f"{finished_path(str(path))}: {words}")
+
+
 def _opened(path: Path, flags: int, mode: int = 0o600) -> int:
+    _expect_locks(path)
     return os.open(path, flags | os.O_NOFOLLOW, mode)
 
 

@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 
@@ -47,7 +48,8 @@ def main(limit: str, program: str, *arguments: str) -> None:
     import resource
 
     for kind in (resource.RLIMIT_AS, resource.RLIMIT_FSIZE):
-        resource.setrlimit(kind, (int(limit), int(limit)))
+        with suppress(ValueError):  # a lower one is set already, or macOS, which takes none of addresses
+            resource.setrlimit(kind, (int(limit), int(limit)))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     if program in PROGRAMS:

@@ -5,6 +5,8 @@ import importlib.util
 import io
 import json
 import struct
+import subprocess
+import sys
 import zipfile
 
 import numpy as np
@@ -264,3 +266,18 @@ def test_a_missing_file_and_library_are_said_and_the_library_writes_nothing_itse
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(SceneError, match=r"a\.spz: .*airgs-codec\[formats\]"):
         read_frame(path)
+
+
+BELOW_A_LIMIT = """
+import resource, sys
+from airgs_codec import read
+resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 28, 1 << 28))
+print(len(read(sys.argv[1])))
+"""
+
+
+def test_a_lower_limit_that_is_set_already_stays(tmp_path):
+    """ulimit -f of a shell; a process may not raise it again."""
+    path = saved(tmp_path / "a.spz", splat_bytes(small(100), ".v3.spz"))
+    done = subprocess.run([sys.executable, "-c", BELOW_A_LIMIT, path], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("100\n", "")
