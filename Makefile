@@ -10,14 +10,19 @@ VIEWS := tests/data/fox_views
 # Else every process of a test run compiles what it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo demo-train demo-study test lint web-check pytest soak mutants gpu page clean
+.PHONY: demo demo-train demo-study lock test lint web-check pytest soak mutants gpu page clean
 
-# torch is pinned here, in one place; where pip would take its CUDA build, name a CPU index in PIP_EXTRA_INDEX_URL.
-.venv/installed: pyproject.toml Makefile
+# Where pip would take torch's CUDA build, name a CPU index in PIP_EXTRA_INDEX_URL.
+.venv/installed: pyproject.toml constraints.txt Makefile
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet torch==2.13.0
-	$(BIN)/pip install --quiet --editable '.[train,formats,dev]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@
+
+# The newest versions of all dependencies, for `make test` to try before they are committed.
+lock:
+	$(PYTHON) -m venv --clear build/lock
+	build/lock/bin/pip install --quiet --editable '.[dev]'
+	build/lock/bin/pip freeze --all --exclude airgs-codec --exclude pip | sed 's/+.*//' | LC_ALL=C sort -f > constraints.txt
 
 # Tests in a browser are skipped, and say so, where npm, node or chromium is not there.
 web/node_modules/installed: web/package-lock.json
@@ -85,7 +90,7 @@ mutants: .venv/installed
 # is compiled once, for minutes, before anything is timed. PyPI's torch 2.13 is for CUDA 13, and so must the toolkit be
 # (on the PATH, or at CUDA_HOME); ninja comes with gsplat, and torch looks for it on the PATH.
 .venv/gpu: .venv/installed
-	$(BIN)/pip install --quiet --editable '.[cuda]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[cuda]'
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -c "import sys; from airgs_codec.render.cuda import missing; sys.exit(missing())"
 	-$(BIN)/pytest tests/render/test_cuda.py  # compiles the CPU's kernels
 	touch $@
