@@ -31,7 +31,8 @@ _COPIES = 16  # of a frame in float32, as input, in the library, as .ply
 def expect_library(path: Path, form: str, library: str) -> None:
     """Raise SceneError, which says how to install it, when a library that a format needs is not installed."""
     if importlib.util.find_spec(library) is None:
-        raise SceneError(f"{path}: {form} files need {library}: pip install 'airgs-codec[formats]'")
+        wanted = library if library in (LIBRARY, _WRITER) else "'airgs-codec[formats]'"
+        raise SceneError(f"{path}: {form} files need {library}: pip install {wanted}")
 
 
 def read_with_library(path: Path, form: str, header: FrameHeader) -> Gaussians:

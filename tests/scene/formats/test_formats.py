@@ -264,7 +264,7 @@ def test_a_missing_file_and_library_are_said_and_the_library_writes_nothing_itse
     read_frame(path)
     assert capfd.readouterr() == ("", "")
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(SceneError, match=r"a\.spz: .*airgs-codec\[formats\]"):
+    with pytest.raises(SceneError, match=r"a\.spz: .*pip install gaussforge"):
         read_frame(path)
 
 
