@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.analysis.up import Subject, find_front, flatness, guess_up, surfaces
+from airgs_codec.analysis.up import SAME, Subject, find_front, flatness, guess_up, surfaces
 from airgs_codec.errors import SceneError
 from airgs_codec.render import cpu
 from airgs_codec.render.cpu import RasterInputs, one_thread
@@ -32,6 +32,7 @@ from airgs_codec.scene.camera import (
     placed,
     side_view,
 )  # fmt: skip
+from airgs_codec.scene.formats.form import Axes
 from airgs_codec.scene.frames import repair
 from airgs_codec.scene.gaussians import LARGEST, SH_C0, Gaussians, from_rotation_vector, remoteness_in, to_matrices
 
@@ -39,7 +40,7 @@ Floats = NDArray[np.float32]
 Vector = NDArray[np.float64]
 
 VIEW_PIXELS = 256  # pixels of found views
-GUESS = "up is guessed to be "  # the first words of the note about it
+GUESS = ("up is guessed", "cannot tell up")  # the first words of the note about it
 SAVED = "cameras given with --views save bytes or quality (in four scenes up to 40 % or 4 dB)"
 
 STEPS = 0.25 * 0.75 ** np.arange(5)  # of the distance to what is seen, and radians: rounds about the best poses
@@ -193,25 +194,28 @@ class FoundViews:
     cameras: list[Camera]  # first the one that viewers begin at
     confident: bool  # whether viewers stay near these cameras; else they may be anywhere
     summary: str  # what was found, and how sure that is
-    guess: str = ""  # which way is up, where nobody gave it
+    up: Vector  # (3,) of length 1
+    guess: str = ""  # how up was guessed, where nobody gave it
 
 
-def find_viewpoints(frames: Sequence[Gaussians], up: Vector | None = None) -> FoundViews:
+def find_viewpoints(
+    frames: Sequence[Gaussians], up: Vector | None = None, axes: Axes | None = None, form: str = "splat"
+) -> FoundViews:
     """Find where some frames of a scene are meant to be seen from. The middle one decides, all of them judge.
 
     The same frames give the same square cameras. `up` (3,) points up where it is known; else it is guessed
-    (`analysis.up`). Frames need neither be repaired nor share rows. What is far from all else is ignored. Raises
-    SceneError when a frame has no finite row.
+    (`analysis.up`): files of the `form` have that of the `axes` by specification, else mostly -y. Frames need neither
+    be repaired nor share rows. What is far from all else is ignored. Raises SceneError when a frame has no finite row.
     """
     frames = [repair([frame], "views").frames[0] for frame in frames]
     frames = [frame.take(remoteness_in(frame)(frame) <= 1) for frame in frames]
     middle = frames[len(frames) // 2]
     origin, size = extent_of(middle.means.astype(np.float64), middle.opacities().astype(np.float64))
-    found = _find([frame.placed(-origin, 1 / size) for frame in frames], up)
+    found = _find([frame.placed(-origin, 1 / size) for frame in frames], up, axes, form)
     return replace(found, cameras=[placed(camera, origin / size, size) for camera in found.cameras])
 
 
-def _find(frames: Sequence[Gaussians], up: Vector | None) -> FoundViews:
+def _find(frames: Sequence[Gaussians], up: Vector | None, axes: Axes | None, form: str) -> FoundViews:
     middle = frames[len(frames) // 2]
     subject = Subject.of(middle)
     with one_thread():
@@ -219,27 +223,44 @@ def _find(frames: Sequence[Gaussians], up: Vector | None) -> FoundViews:
             poses, unclear = _find_places(frames, middle)
         except SceneError:
             poses, unclear = [], "nothing can be seen"
-    upright = guess_up(subject, filmed=bool(poses)) if up is None else up / np.linalg.norm(up)
-    x, y, z = upright.round(2) + 0.0
-    guess = f"{GUESS}({x:g}, {y:g}, {z:g}); --up says otherwise" if up is None else ""
+    known = None if up is None else (up / np.linalg.norm(up), True, "")
+    upright, sure, guess = known or _guess(subject, bool(poses), axes, form)
     if poses:
         cameras = [_camera(p.position, p.direction, upright, VIEW_PIXELS, f"found{i:02d}") for i, p in enumerate(poses)]
-        return FoundViews(cameras, True, f"a filmed place: {len(cameras)} views from all over it; {SAVED}", guess)
+        what = f"a filmed place: {len(cameras)} views from all over it; {SAVED}"
+        return FoundViews(cameras, True, what, upright, guess)
     stands = subject.floor is not None and float(subject.floor @ upright) > np.cos(np.radians(20))
     low, high = (0, 75) if stands else (-30, 60)  # people walk around an object, and look up or down a little
     rise = np.radians(12)
-    ahead = np.cos(rise) * find_front(subject, upright) + np.sin(rise) * upright
-    front = side_view(middle, ahead, upright, VIEW_PIXELS, "front", surfaces(middle))
+    front, clear = find_front(subject, upright)
+    ahead = np.cos(rise) * front + np.sin(rise) * upright
+    first = side_view(middle, ahead, upright, VIEW_PIXELS, "front", surfaces(middle))
     around = dome_views(middle, 24, VIEW_PIXELS, upright, (np.radians(low), np.radians(high)))
     centre = looked_at(around)
     for i in range(1, len(around), 2):  # every second one from 0.6 of the distance
         matrix = around[i].world_to_camera.copy()
         matrix[:3, 3] = 0.6 * matrix[:3, 3] - (1 - 0.6) * matrix[:3, :3] @ centre
         around[i] = replace(around[i], world_to_camera=matrix, near=0.6 * around[i].near)
-    where = f"a view from in front and 24 around it, near and far, {low}° to {high}° above the horizon"
+    side = "in front" if sure and clear else "a side that may be its front"
+    where = f"a view from {side} and 24 around it, near and far, {low}° to {high}° above the horizon"
     where += ", over its floor" if stands else ""
     what = f"unclear where from ({unclear})" if unclear else "an object in empty space"
-    return FoundViews([front, *around], not unclear, f"{what}: {where}; {SAVED}", guess)
+    return FoundViews([first, *around], not unclear, f"{what}: {where}; {SAVED}", upright, guess)
+
+
+def _guess(subject: Subject, filmed: bool, axes: Axes | None, form: str) -> tuple[Vector, bool, str]:
+    """Return up, whether that is sure, and a sentence on it. What is not sure is as a specification says."""
+    usual = np.array(axes.up if axes else UP, np.float64)
+    up, sure = guess_up(subject, usual, filmed)
+    up = usual if axes and not sure else up
+    shown = ", ".join(f"{value:g}" for value in up.round(2) + 0.0)
+    often = f"{form} files {'should' if axes else 'mostly'} have"
+    why = f"as {often} it" if up @ usual > SAME else f"though {often} another"
+    if sure:
+        return up, sure, f"{GUESS[0]} to be ({shown}), {why}; --up says otherwise"
+    over = f"--up={'-' if up.sum() > 0 else ''}{'xyz'[int(np.abs(up).argmax())]}"
+    hint = f"{over}, or turn it over in the player and keep that: airgs-manifest set-view PACKAGE {over}"
+    return up, sure, f"{GUESS[1]}: showing ({shown}), {why}; if that is upside down, {hint}"
 
 
 def _find_places(frames: Sequence[Gaussians], middle: Gaussians) -> tuple[list[Pose], str]:

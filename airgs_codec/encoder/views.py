@@ -14,6 +14,7 @@ import numpy as np
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.region import DATAPARSER, SEEN, in_trained_frame, region_around, see, seeing
+from airgs_codec.analysis.up import SAME
 from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError
@@ -101,12 +102,14 @@ def choose_views(
 ) -> tuple[SceneViews, tuple[str, ...]]:
     """Choose the region that is given, else the one about the scene's cameras, else about places that were found.
 
-    Also gives sentences on how it was found. Which way is up, the settings say, else the format of the frames, else
-    nobody does. Raises ConfigError where nothing is seen from the region, FormatError for one that no reader takes.
+    Also gives sentences on how it was found. Which way is up, the settings say, else the format of the frames, unless a
+    scene without cameras surely stands otherwise, else nobody does. Raises ConfigError where nothing is seen from the
+    region, FormatError for one that no reader takes.
     """
-    world, notes = settings.world and world_at(settings.world, sequence.origin), []
-    if world is None and sequence.axes:
-        world = world_from(sequence.axes.up, sequence.axes.metres)
+    world, notes = settings.world and world_at(settings.world, sequence.origin), list[str]()
+    told, axes = None if world is None else up_of(world), None if world else sequence.axes
+    if axes:
+        world = world_from(axes.up, axes.metres)
         notes.append(f"{world_words(world)}; the specification of {sequence.format.name} says so")
     middle, region, trusted = sequence.load([len(sequence) // 2]).frames[0], settings.region, True
     if region is None:
@@ -116,7 +119,9 @@ def choose_views(
             notes = [*of_cameras, *notes]
         else:
             looked = [sequence.read(i) for i in evenly_spaced(len(sequence), SEARCHED_FRAMES)]
-            found = find_viewpoints(looked, None if world is None else up_of(world))
+            found = find_viewpoints(looked, told, axes, sequence.paths[0].suffix or "splat")
+            if axes and found.up @ axes.up < SAME:
+                world, notes = None, []
             trusted, source = found.confident, "found" if found.confident else "orbit"
             region = region_around(found.cameras, middle, margin=settings.margin, source=source)
             notes = [*of_cameras, *filter(None, (found.summary, found.guess)), *notes]

@@ -44,6 +44,7 @@ EXPERIMENTS = (
     _bench("streaming", "What do viewers get over LTE?", "5 minutes"),
     _bench("static", "How many bytes do static splats take beside SPZ?", "2 min a file"),
     _bench("tracked", "What does tracking make of frames that know nothing of each other?", "5 min"),
+    _bench("upright", "How often are up and front of stills right?", "30 s a scene"),
     _bench("viewpoints", "How close do found cameras come to the true ones?", "10 s a scene"),
     Experiment(
         "work-precision", "What buys quality, and what only time?", "tools.lab.numerics.work_precision", "20 minutes"
@@ -125,6 +126,13 @@ MEASUREMENTS = (
         "viewpoints spinach_4.splatv=spinach_views.json fox/=fox/transforms.json "
         "basketball/=basketball/transforms.json kinoptic/=kinoptic/transforms.json coffee10.splatv "
         "kacytran_iter7000.ply",
+    ),
+    Measurement(
+        "upright", "views",
+        "upright fox/@y@z head/@y@z donut.ply@z playbot_3@-y@-z playbot_4@-y@-z playbot_5@-y@-z playbot_6@-y@-z "
+        "coffee10.splatv@-y points_snowmiku.ply@-y points_kinoptic.npz@-y@-x models/Fox.glb@y@z guitar.compressed.ply@-y@x "
+        "spinach_4.splatv@-y points_basketball.ply@-y models/Knight.glb@y@1,0,1 models/RiggedFigure.glb@y@x "
+        "--held guitar.compressed spinach_4 points_basketball Knight RiggedFigure",
     ),
     Measurement("engines", "views", "engines --scenes fox/ ball-0 ball-3"),
     Measurement(

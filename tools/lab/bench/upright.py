@@ -1,0 +1,122 @@
+"""How often stills are shown upright and from in front, and how often a guess that is wrong is told as a fact.
+
+Stills are files of one frame, moments of clips and sequences, clouds of points, and the surfaces of models as Gaussians
+(tools.make_crowd). Each is turned in four ways and written in every form: as files of the form mostly are, the other
+way up, with z up, and at random, where the form says nothing. Directions within 30 degrees of the true one are right,
+fronts within 60. `held`: scenes that no constant of the guess was chosen on.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from airgs_codec._sampling import evenly_spaced
+from airgs_codec.analysis.viewpoints import find_viewpoints
+from airgs_codec.package.region import parse_up
+from airgs_codec.scene.camera import UP
+from airgs_codec.scene.formats.ply import read_points
+from airgs_codec.scene.formats.table import FRAMES, write
+from airgs_codec.scene.frames import repair
+from airgs_codec.scene.gaussians import Gaussians, multiply
+from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.trainer.fit.points import from_points
+from tools.lab import Lab, Page, Row, Section, Table, required, setting
+from tools.lab.made import name_of
+from tools.make_crowd import Model, crowd
+
+MOMENTS, ROWS, APART = 2, 10_000, 31  # of a sequence; Gaussians of a model; frames of it, of which the ends are taken
+RIGHT, AHEAD = np.cos(np.radians([30, 60]))
+TURNS = ("as the form", "the other way up", "z up", "at random")
+HALVES = ("looked at", "held back")
+KINDS = ("right", "doubted, right", "doubted, wrong", "wrong")
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    scenes: tuple[str, ...] = required(
+        "scenes, with what is truly up, and in front where they have one: SCENE@UP[@FRONT]"
+    )
+    held: tuple[str, ...] = setting((), "names of the scenes that nothing was chosen on")
+
+
+def run(options: Options, lab: Lab) -> Page:
+    rows, random = [], np.random.default_rng(0)
+    for at, scene in enumerate(options.scenes):
+        place, *truth = scene.split("@")
+        for still in stills(place):
+            for row in tried(still, [np.array(parse_up(one)) for one in truth], random):
+                half = HALVES[name_of(place) in options.held]
+                rows.append({"scene": name_of(place), "half": half} | row)
+        lab.progress("stills", at + 1, len(options.scenes))
+    return page(rows)
+
+
+def stills(place: str) -> Iterator[Gaussians]:
+    path = Path(place)
+    if path.name.startswith("points") or path.suffix == ".npz":
+        at, colours = read_points(path) if path.suffix == ".ply" else np.split(np.load(path)["data"][:, :6], 2, axis=1)
+        assert colours is not None, "clouds of points have colours"
+        yield from_points(at.astype(np.float32), colours.astype(np.float32), 0, 0.9, np.ptp(at, axis=0).max() / 50)
+    elif path.parent.name == "models":
+        frames = list(crowd([Model(path)], ROWS, APART))
+        yield from (frames[0], frames[-1])
+    else:
+        sequence = open_sequence(path)
+        yield from (sequence.read(i) for i in evenly_spaced(len(sequence), min(MOMENTS, len(sequence))))
+
+
+def tried(still: Gaussians, truth: Sequence[NDArray[np.float64]], random: np.random.Generator) -> Iterator[Row]:
+    """What is guessed of a still in every turn and form; `truth`: what is up, and what is ahead if it has a front."""
+    still = repair([still], "still").frames[0].with_degree(0)
+    by_chance = Rotation.random(random_state=random)
+    for form in FRAMES:
+        usual = np.array(form.axes.up if form.axes else UP)
+        for name, to in zip(TURNS, (usual, -usual, np.array([0.0, 0, 1]), None), strict=True):
+            turn = by_chance if to is None else Rotation.align_vectors([to], [truth[0]])[0]
+            quaternions = multiply(turn.as_quat(scalar_first=True)[None], still.quaternions.astype(np.float64))
+            means = turn.apply(still.means).astype(np.float32)
+            turned = replace(still, means=means, quaternions=quaternions.astype(np.float32))
+            with TemporaryDirectory() as folder:
+                path = Path(folder) / f"still.{form.key}"
+                write(turned, path)
+                sequence = open_sequence(path)
+                found = find_viewpoints([sequence.read(0)], None, sequence.axes, path.suffix)
+            right, doubted = found.up @ turn.apply(truth[0]) > RIGHT, found.guess.startswith("cannot")
+            row = {"form": form.name, "turn": name, "up": KINDS[doubted if right else 3 - doubted]}
+            if right and len(truth) > 1 and "a filmed place" not in found.summary:
+                faces, unsure = found.cameras[0].world_to_camera[2, :3], "may be" in found.summary
+                ahead = -faces @ turn.apply(truth[1]) > AHEAD
+                row["front"] = KINDS[unsure if ahead else 3 - unsure]
+            yield row
+
+
+def page(rows: Sequence[Row]) -> Page:
+    tables = [counts(rows, key, "up") for key in ("turn", "form", "scene")]
+    tables.append(counts([row for row in rows if "front" in row], "scene", "front"))
+    return Page([Section(" ".join(_words(half, rows) for half in HALVES).strip(), tables=tables)])
+
+
+def counts(rows: Sequence[Row], key: str, of: str) -> Table:
+    """How many rows are of each kind, for each half and value of `key`."""
+    found = Counter((row["half"], row[key], row[of]) for row in rows)
+    groups = sorted({(half, value) for half, value, _ in found}, key=lambda group: (-HALVES.index(group[0]), group))
+    table = [{"half": half, key: value} | {kind: found[half, value, kind] for kind in KINDS} for half, value in groups]
+    return Table(f"{of} by {key}", table)
+
+
+def _words(half: str, every: Sequence[Row]) -> str:
+    if not (rows := [row for row in every if row["half"] == half]):
+        return ""
+    right, guessed, doubted, wrong = (sum(row["up"] == kind for row in rows) / len(rows) for kind in KINDS)
+    return (
+        f"Of {len(rows)} files of scenes that were {half}, up is right or doubted in {1 - wrong:.1%}, wrong without a "
+        f"doubt in {wrong:.1%}; right in {right:.0%}, right but doubted in {guessed:.0%}, wrong in {doubted:.0%}."
+    )
