@@ -115,8 +115,8 @@ def counts(rows: Sequence[Row], key: str, of: str) -> Table:
 def _words(half: str, every: Sequence[Row]) -> str:
     if not (rows := [row for row in every if row["half"] == half]):
         return ""
-    right, guessed, doubted, wrong = (sum(row["up"] == kind for row in rows) / len(rows) for kind in KINDS)
+    right, guessed, _, wrong = (sum(row["up"] == kind for row in rows) / len(rows) for kind in KINDS)
     return (
         f"Of {len(rows)} files of scenes that were {half}, up is right or doubted in {1 - wrong:.1%}, wrong without a "
-        f"doubt in {wrong:.1%}; right in {right:.0%}, right but doubted in {guessed:.0%}, wrong in {doubted:.0%}."
+        f"doubt in {wrong:.1%}; shown upright in {right + guessed:.0%}, without a doubt in {right:.0%}."
     )
