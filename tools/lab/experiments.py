@@ -129,7 +129,7 @@ MEASUREMENTS = (
     ),
     Measurement(
         "upright", "views",
-        "upright fox/@y@z head/@y@z donut.ply@z playbot_3@-y@-z playbot_4@-y@-z playbot_5@-y@-z playbot_6@-y@-z "
+        "upright fox/@y@z head/@y@z donut.ply@z playbot_3@-y@-z playbot_5@-y@-z "
         "coffee10.splatv@-y points_snowmiku.ply@-y points_kinoptic.npz@-y@-x models/Fox.glb@y@z spinach_4.splatv@-y "
         "guitar.compressed.ply@-y@x points_basketball.ply@-y models/Knight.glb@y@1,0,1 models/RiggedFigure.glb@y@x "
         "--held guitar.compressed spinach_4 points_basketball Knight RiggedFigure",

@@ -1,9 +1,10 @@
 """How often stills are shown upright and from in front, and how often a guess that is wrong is told as a fact.
 
 Stills are files of one frame, moments of clips and sequences, clouds of points, and the surfaces of models as Gaussians
-(tools.make_crowd). Each is turned in four ways and written in every form: as files of the form mostly are, the other
-way up, with z up, and at random, where the form says nothing. Directions within 30 degrees of the true one are right,
-fronts within 60. `held`: scenes that no constant of the guess was chosen on.
+(tools.make_crowd). Each is turned in four ways: as files of a form mostly are, the other way up, with z up, and at
+random, where the form says nothing. It is written in a form with -y up and one with y up, others from turn to turn.
+Directions within 30 degrees of the true one are right, fronts within 60. `held`: scenes that no constant of the guess
+was chosen on.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ from tools.lab import Lab, Page, Row, Section, Table, required, setting
 from tools.lab.made import name_of
 from tools.make_crowd import Model, crowd
 
-MOMENTS, ROWS, APART = 2, 10_000, 31  # of a sequence; Gaussians of a model; frames of it, of which the ends are taken
+MOMENTS, ROWS = 2, 10_000  # of a sequence, and Gaussians of a model
+LIKE = [form for form in FRAMES if not form.axes], [form for form in FRAMES if form.axes]  # -y and y up
 RIGHT, AHEAD = np.cos(np.radians([30, 60]))
 TURNS = ("as the form", "the other way up", "z up", "at random")
 HALVES = ("looked at", "held back")
@@ -66,8 +68,7 @@ def stills(place: str) -> Iterator[Gaussians]:
         assert colours is not None, "clouds of points have colours"
         yield from_points(at.astype(np.float32), colours.astype(np.float32), 0, 0.9, np.ptp(at, axis=0).max() / 50)
     elif path.parent.name == "models":
-        frames = list(crowd([Model(path)], ROWS, APART))
-        yield from (frames[0], frames[-1])
+        yield next(crowd([Model(path)], ROWS, 1))
     else:
         sequence = open_sequence(path)
         yield from (sequence.read(i) for i in evenly_spaced(len(sequence), min(MOMENTS, len(sequence))))
@@ -77,9 +78,11 @@ def tried(still: Gaussians, truth: Sequence[NDArray[np.float64]], random: np.ran
     """What is guessed of a still in every turn and form; `truth`: what is up, and what is ahead if it has a front."""
     still = repair([still], "still").frames[0].with_degree(0)
     by_chance = Rotation.random(random_state=random)
-    for form in FRAMES:
-        usual = np.array(form.axes.up if form.axes else UP)
-        for name, to in zip(TURNS, (usual, -usual, np.array([0.0, 0, 1]), None), strict=True):
+    for forms in LIKE:
+        for number, name in enumerate(TURNS):
+            form = forms[random.integers(len(forms))]
+            usual = np.array(form.axes.up if form.axes else UP)
+            to = (usual, -usual, np.array([0.0, 0, 1]), None)[number]
             turn = by_chance if to is None else Rotation.align_vectors([to], [truth[0]])[0]
             quaternions = multiply(turn.as_quat(scalar_first=True)[None], still.quaternions.astype(np.float64))
             means = turn.apply(still.means).astype(np.float32)
