@@ -15,7 +15,7 @@ from tests.support.paths import FOX
 from tests.support.regions import is_inside, place, region
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 from tests.support.splat_files import glb_bytes
-from tests.support.views import coloured_cloud, ring
+from tests.support.views import coloured_cloud, joined, ring
 
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 
@@ -85,7 +85,7 @@ def test_a_region_that_is_given_is_taken_and_cameras_keep_their_own_up(fox):
 def test_up_is_guessed_without_cameras_and_a_world_is_of_the_coordinates_in_files_and_mirrors_nothing():
     plan, notes = faces.choose_views(faces.GaussianSequence.from_arrays(moving_frames(60, 3)), EncodeSettings())
     assert plan.region.source == "orbit" and not plan.trusted
-    assert plan.world is None and notes[1].startswith("up is guessed to be (")
+    assert plan.world is None and notes[1].startswith("cannot tell up: showing (")
     with pytest.raises(faces.ConfigError, match="world: expected a right-handed turn, got one that mirrors"):
         EncodeSettings(world=faces.World([1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0], metric=False))
     turned = np.array([[2, 0, 0, 1], [0, 0, 2, 1], [0, -2, 0, 1.0]])
@@ -103,6 +103,20 @@ def test_the_specification_of_a_format_tells_up_unless_somebody_does(tmp_path):
     assert notes[-1] == "up: (0, 1, 0); units: one is 1 m; the specification of glTF says so"
     assert faces.up_of(told.world).tolist() == [0, 0, -1] and not any("specification" in note for note in others)
     assert all(at.up[2] <= 0 for at in told.region.places), "the views that were found are upright"
+    assert notes[1].startswith("cannot tell up: showing (0, 1, 0), as .glb files should have it")
+
+
+def test_a_floor_against_the_specification_leaves_the_way_up_to_the_views(tmp_path):
+    x, z = np.random.default_rng(2).uniform(-1, 1, (2, 2000))
+    lying = replace(random_gaussians(2000), means=np.stack([x, 0 * x, z], axis=1).astype(np.float32))
+    flat = np.tile(np.log([0.05, 0.001, 0.05]), (2000, 1)).astype(np.float32)
+    upright = np.tile(np.array([1, 0, 0, 0], np.float32), (2000, 1))
+    lying = replace(lying, log_scales=flat, quaternions=upright, opacity_logits=np.full(2000, 4, np.float32))
+    below = replace(coloured_cloud(200), means=(coloured_cloud(200).means / 8 - [0, 0.4, 0]).astype(np.float32))
+    (tmp_path / "a.glb").write_bytes(glb_bytes(joined(lying, below)))
+    plan, notes = faces.choose_views(open_sequence(tmp_path / "a.glb"), EncodeSettings())
+    assert plan.world is None and all(at.up[1] < -0.7 for at in plan.region.places[:1])
+    assert "though .glb files should have another" in notes[1] and not any("specification" in note for note in notes)
 
 
 def write_scene(folder, background=None):

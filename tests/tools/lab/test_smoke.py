@@ -41,6 +41,7 @@ RUNS = {  # by the names of what is published: commands, in a folder with the sc
     "extremes": "extremes",
     "streaming": "streaming traces package --policies throughput paper paper-no-cliff --starts 2 --seconds 2 --jobs 1",
     "viewpoints": "viewpoints fox=fox/transforms.json",
+    "upright": "upright fox/000000.ply@y@z --held 000000",
     "scale": "scale --rows 200 --frames 2 --few 100",
     "jobs": "jobs --frames 4 --rows 100",
     "devices": "devices views/fox --sequence fox --device cpu --cameras 1",

@@ -29,7 +29,7 @@ from airgs_codec.scene.frames import repair
 from airgs_codec.scene.gaussians import Gaussians, multiply
 from airgs_codec.scene.sequence import open_sequence
 from airgs_codec.trainer.fit.points import from_points
-from tools.lab import Lab, Page, Row, Section, Table, required, setting
+from tools.lab import Lab, Page, Row, Section, Table, content, required, setting
 from tools.lab.made import name_of
 from tools.make_crowd import Model, crowd
 
@@ -39,6 +39,7 @@ RIGHT, AHEAD = np.cos(np.radians([30, 60]))
 TURNS = ("as the form", "the other way up", "z up", "at random")
 HALVES = ("looked at", "held back")
 KINDS = ("right", "doubted, right", "doubted, wrong", "wrong")
+PAIRS = (KINDS[0], KINDS[3]), (KINDS[1], KINDS[2])  # without and with a doubt
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,15 +51,19 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    rows, random = [], np.random.default_rng(0)
+    rows = list[Row]()
     for at, scene in enumerate(options.scenes):
-        place, *truth = scene.split("@")
-        for still in stills(place):
-            for row in tried(still, [np.array(parse_up(one)) for one in truth], random):
-                half = HALVES[name_of(place) in options.held]
-                rows.append({"scene": name_of(place), "half": half} | row)
-        lab.progress("stills", at + 1, len(options.scenes))
+        place, name = scene.partition("@")[0], name_of(scene.partition("@")[0])
+        found = lab.results.once("upright", [scene, content(Path(place))], lambda scene=scene: measure(scene))
+        rows += [{"scene": name, "half": HALVES[name in options.held]} | row for row in found]
+        lab.progress("scenes", at + 1, len(options.scenes))
     return page(rows)
+
+
+def measure(scene: str) -> list[Row]:
+    place, *truth = scene.split("@")
+    random, known = np.random.default_rng(list(scene.encode())), [np.array(parse_up(one)) for one in truth]
+    return [row for still in stills(place) for row in tried(still, known, random)]
 
 
 def stills(place: str) -> Iterator[Gaussians]:
@@ -102,9 +107,18 @@ def tried(still: Gaussians, truth: Sequence[NDArray[np.float64]], random: np.ran
 
 
 def page(rows: Sequence[Row]) -> Page:
-    tables = [counts(rows, key, "up") for key in ("turn", "form", "scene")]
-    tables.append(counts([row for row in rows if "front" in row], "scene", "front"))
-    return Page([Section(" ".join(_words(half, rows) for half in HALVES).strip(), tables=tables)])
+    fronts = [row for row in rows if "front" in row]
+    said, guessed = ([row["front"] == kind for row in fronts if row["front"] in (kind, other)] for kind, other in PAIRS)
+    words = [_words(half, rows) for half in HALVES]
+    words.append(
+        f'"From in front" is said of {len(said)} of {len(fronts)} files that are shown upright and have a front, wrongly '
+        f"of {len(said) - sum(said)}; of the others {sum(guessed)} are seen from in front."
+    )
+    tables = [counts(rows, key, "up") for key in ("turn", "scene")]
+    return Page(
+        [Section(" ".join(filter(None, words)), tables=tables)],
+        data=[counts(rows, "form", "up"), counts(fronts, "scene", "front")],
+    )
 
 
 def counts(rows: Sequence[Row], key: str, of: str) -> Table:
