@@ -158,7 +158,7 @@ MEASUREMENTS = (
 )  # fmt: skip
 
 # Measurements whose experiments are gone: their pages stay as published, with the commit that has the code.
-NO_LONGER_MEASURED = ("dense", "crowd", "keyframe", "soak-live", "million", "mechanisms-cut")
+NO_LONGER_MEASURED = ("dense", "crowd", "keyframe", "soak-live", "mechanisms-cut")
 
 
 @dataclass(frozen=True, slots=True)

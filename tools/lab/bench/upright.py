@@ -1,10 +1,8 @@
-"""How often stills are shown upright and from in front, and how often a guess that is wrong is told as a fact.
+"""How often stills are shown upright and from in front, and how often a wrong guess is told as a fact.
 
-Stills are files of one frame, moments of clips and sequences, clouds of points, and the surfaces of models as Gaussians
-(tools.make_crowd). Each is turned in four ways: as files of a form mostly are, the other way up, with z up, and at
-random, where the form says nothing. It is written in a form with -y up and one with y up, others from turn to turn.
-Directions within 30 degrees of the true one are right, fronts within 60. `held`: scenes that no constant of the guess
-was chosen on.
+Stills are frames of files, clips and sequences, clouds of points, and models as Gaussians (tools.make_crowd). Each is
+turned as files of a form mostly are, the other way up, with z up, and at random, and written in some form with -y up
+and some with y up. Up is right within 30 degrees, a front within 60. `held`: no constant was chosen on these scenes.
 """
 
 from __future__ import annotations
@@ -12,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -34,27 +33,24 @@ from tools.lab.made import name_of
 from tools.make_crowd import Model, crowd
 
 MOMENTS, ROWS = 2, 10_000  # of a sequence, and Gaussians of a model
-LIKE = [form for form in FRAMES if not form.axes], [form for form in FRAMES if form.axes]  # -y and y up
+LIKE = [form for form in FRAMES if not form.axes], [form for form in FRAMES if form.axes]  # -y and y is up
 RIGHT, AHEAD = np.cos(np.radians([30, 60]))
 TURNS = ("as the form", "the other way up", "z up", "at random")
 HALVES = ("looked at", "held back")
 KINDS = ("right", "doubted, right", "doubted, wrong", "wrong")
-PAIRS = (KINDS[0], KINDS[3]), (KINDS[1], KINDS[2])  # without and with a doubt
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    scenes: tuple[str, ...] = required(
-        "scenes, with what is truly up, and in front where they have one: SCENE@UP[@FRONT]"
-    )
+    scenes: tuple[str, ...] = required("scenes, with what is truly up, and their front if any: SCENE@UP[@FRONT]")
     held: tuple[str, ...] = setting((), "names of the scenes that nothing was chosen on")
 
 
 def run(options: Options, lab: Lab) -> Page:
     rows = list[Row]()
     for at, scene in enumerate(options.scenes):
-        place, name = scene.partition("@")[0], name_of(scene.partition("@")[0])
-        found = lab.results.once("upright", [scene, content(Path(place))], lambda scene=scene: measure(scene))
+        name, reads = name_of(scene.partition("@")[0]), [scene, content(Path(scene.partition("@")[0]))]
+        found = lab.results.once("upright", reads, partial(measure, scene))
         rows += [{"scene": name, "half": HALVES[name in options.held]} | row for row in found]
         lab.progress("scenes", at + 1, len(options.scenes))
     return page(rows)
@@ -68,10 +64,10 @@ def measure(scene: str) -> list[Row]:
 
 def stills(place: str) -> Iterator[Gaussians]:
     path = Path(place)
-    if path.name.startswith("points") or path.suffix == ".npz":
-        at, colours = read_points(path) if path.suffix == ".ply" else np.split(np.load(path)["data"][:, :6], 2, axis=1)
-        assert colours is not None, "clouds of points have colours"
-        yield from_points(at.astype(np.float32), colours.astype(np.float32), 0, 0.9, np.ptp(at, axis=0).max() / 50)
+    if path.name.startswith("points"):
+        cloud = read_points(path) if path.suffix == ".ply" else np.split(np.load(path)["data"][:, :6], 2, axis=1)
+        at, colours = (np.asarray(one, np.float32) for one in cloud)
+        yield from_points(at, colours, 0, 0.9, np.ptp(at, axis=0).max() / 50)
     elif path.parent.name == "models":
         yield next(crowd([Model(path)], ROWS, 1))
     else:
@@ -89,9 +85,9 @@ def tried(still: Gaussians, truth: Sequence[NDArray[np.float64]], random: np.ran
             usual = np.array(form.axes.up if form.axes else UP)
             to = (usual, -usual, np.array([0.0, 0, 1]), None)[number]
             turn = by_chance if to is None else Rotation.align_vectors([to], [truth[0]])[0]
-            quaternions = multiply(turn.as_quat(scalar_first=True)[None], still.quaternions.astype(np.float64))
-            means = turn.apply(still.means).astype(np.float32)
-            turned = replace(still, means=means, quaternions=quaternions.astype(np.float32))
+            turns = multiply(turn.as_quat(scalar_first=True)[None], still.quaternions.astype(np.float64))
+            columns = turn.apply(still.means).astype(np.float32), turns.astype(np.float32)
+            turned = replace(still, means=columns[0], quaternions=columns[1])
             with TemporaryDirectory() as folder:
                 path = Path(folder) / f"still.{form.key}"
                 write(turned, path)
@@ -100,40 +96,32 @@ def tried(still: Gaussians, truth: Sequence[NDArray[np.float64]], random: np.ran
             right, doubted = found.up @ turn.apply(truth[0]) > RIGHT, found.guess.startswith("cannot")
             row = {"form": form.name, "turn": name, "up": KINDS[doubted if right else 3 - doubted]}
             if right and len(truth) > 1 and "a filmed place" not in found.summary:
-                faces, unsure = found.cameras[0].world_to_camera[2, :3], "may be" in found.summary
-                ahead = -faces @ turn.apply(truth[1]) > AHEAD
-                row["front"] = KINDS[unsure if ahead else 3 - unsure]
+                ahead = found.cameras[0].world_to_camera[2, :3] @ turn.apply(truth[1]) < -AHEAD
+                row["front"] = KINDS["may be" in found.summary if ahead else 3 - ("may be" in found.summary)]
             yield row
 
 
 def page(rows: Sequence[Row]) -> Page:
+    words = []
+    for half in sorted({row["half"] for row in rows}, reverse=True):
+        some = [row["up"] for row in rows if row["half"] == half]
+        right, guessed, _, wrong = (some.count(kind) / len(some) for kind in KINDS)
+        words.append(
+            f"Of {len(some)} files of scenes {half}, up is right or doubted in {1 - wrong:.1%}, wrong without a "
+            f"doubt in {wrong:.1%}; shown upright in {right + guessed:.0%}, without a doubt in {right:.0%}."
+        )
     fronts = [row for row in rows if "front" in row]
-    said, guessed = ([row["front"] == kind for row in fronts if row["front"] in (kind, other)] for kind, other in PAIRS)
-    words = [_words(half, rows) for half in HALVES]
+    right, guessed, _, wrong = ([row["front"] for row in fronts].count(kind) for kind in KINDS)
     words.append(
-        f'"From in front" is said of {len(said)} of {len(fronts)} files that are shown upright and have a front, wrongly '
-        f"of {len(said) - sum(said)}; of the others {sum(guessed)} are seen from in front."
+        f'Of {len(fronts)} upright files with a front "from in front" is said of {right + wrong}, wrongly of {wrong}.'
     )
-    tables = [counts(rows, key, "up") for key in ("turn", "scene")]
-    return Page(
-        [Section(" ".join(filter(None, words)), tables=tables)],
-        data=[counts(rows, "form", "up"), counts(fronts, "scene", "front")],
-    )
+    tables, more = [counts(rows, key, "up") for key in ("turn", "scene")], counts(rows, "form", "up")
+    return Page([Section(" ".join(words), tables=tables)], data=[more, counts(fronts, "scene", "front")])
 
 
 def counts(rows: Sequence[Row], key: str, of: str) -> Table:
     """How many rows are of each kind, for each half and value of `key`."""
     found = Counter((row["half"], row[key], row[of]) for row in rows)
-    groups = sorted({(half, value) for half, value, _ in found}, key=lambda group: (-HALVES.index(group[0]), group))
+    groups = sorted({group[:2] for group in found}, key=lambda group: (HALVES.index(group[0]), group[1]))
     table = [{"half": half, key: value} | {kind: found[half, value, kind] for kind in KINDS} for half, value in groups]
     return Table(f"{of} by {key}", table)
-
-
-def _words(half: str, every: Sequence[Row]) -> str:
-    if not (rows := [row for row in every if row["half"] == half]):
-        return ""
-    right, guessed, _, wrong = (sum(row["up"] == kind for row in rows) / len(rows) for kind in KINDS)
-    return (
-        f"Of {len(rows)} files of scenes that were {half}, up is right or doubted in {1 - wrong:.1%}, wrong without a "
-        f"doubt in {wrong:.1%}; shown upright in {right + guessed:.0%}, without a doubt in {right:.0%}."
-    )
