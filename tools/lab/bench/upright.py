@@ -48,11 +48,11 @@ class Options:
 
 def run(options: Options, lab: Lab) -> Page:
     rows = list[Row]()
-    for at, scene in enumerate(options.scenes):
-        name, reads = name_of(scene.partition("@")[0]), [scene, content(Path(scene.partition("@")[0]))]
-        found = lab.results.once("upright", reads, partial(measure, scene))
-        rows += [{"scene": name, "half": HALVES[name in options.held]} | row for row in found]
-        lab.progress("scenes", at + 1, len(options.scenes))
+    for scene in options.scenes:
+        place = scene.partition("@")[0]
+        found = lab.results.once("upright", [scene, content(Path(place))], partial(measure, scene))
+        half = HALVES[name_of(place) in options.held]
+        rows += [{"scene": name_of(place), "half": half} | row for row in found]
     return page(rows)
 
 
@@ -71,8 +71,8 @@ def stills(place: str) -> Iterator[Gaussians]:
     elif path.parent.name == "models":
         yield next(crowd([Model(path)], ROWS, 1))
     else:
-        sequence = open_sequence(path)
-        yield from (sequence.read(i) for i in evenly_spaced(len(sequence), min(MOMENTS, len(sequence))))
+        frames = open_sequence(path)
+        yield from (frames.read(i) for i in evenly_spaced(len(frames), min(MOMENTS, len(frames))))
 
 
 def tried(still: Gaussians, truth: Sequence[NDArray[np.float64]], random: np.random.Generator) -> Iterator[Row]:
@@ -86,13 +86,10 @@ def tried(still: Gaussians, truth: Sequence[NDArray[np.float64]], random: np.ran
             to = (usual, -usual, np.array([0.0, 0, 1]), None)[number]
             turn = by_chance if to is None else Rotation.align_vectors([to], [truth[0]])[0]
             turns = multiply(turn.as_quat(scalar_first=True)[None], still.quaternions.astype(np.float64))
-            columns = turn.apply(still.means).astype(np.float32), turns.astype(np.float32)
-            turned = replace(still, means=columns[0], quaternions=columns[1])
+            turned = replace(still, means=turn.apply(still.means).astype("f4"), quaternions=turns.astype("f4"))
             with TemporaryDirectory() as folder:
-                path = Path(folder) / f"still.{form.key}"
-                write(turned, path)
-                sequence = open_sequence(path)
-                found = find_viewpoints([sequence.read(0)], None, sequence.axes, path.suffix)
+                write(turned, path := Path(folder) / f"still.{form.key}")
+                found = find_viewpoints([open_sequence(path).read(0)], None, form.axes, path.suffix)
             right, doubted = found.up @ turn.apply(truth[0]) > RIGHT, found.guess.startswith("cannot")
             row = {"form": form.name, "turn": name, "up": KINDS[doubted if right else 3 - doubted]}
             if right and len(truth) > 1 and "a filmed place" not in found.summary:
@@ -111,7 +108,7 @@ def page(rows: Sequence[Row]) -> Page:
             f"doubt in {wrong:.1%}; shown upright in {right + guessed:.0%}, without a doubt in {right:.0%}."
         )
     fronts = [row for row in rows if "front" in row]
-    right, guessed, _, wrong = ([row["front"] for row in fronts].count(kind) for kind in KINDS)
+    right, _, _, wrong = ([row["front"] for row in fronts].count(kind) for kind in KINDS)
     words.append(
         f'Of {len(fronts)} upright files with a front "from in front" is said of {right + wrong}, wrongly of {wrong}.'
     )
