@@ -45,7 +45,7 @@ LINK = re.compile(r"\]\(([^)\s]+)\)")
 PATH = re.compile(r"(airgs_codec|docs|tests|tools|manifests|\.ci)/[\w./-]*")
 MISSING = "the following arguments are required"
 NUMBER = re.compile(r"\d[\d,]*(?:\.\d+)?")
-OTHER_PROGRAMS = {"git", "cd", "pip", "python3", "source"}
+OTHER_PROGRAMS = {"git", "cd", "docker", "pip", "python3", "source"}
 
 
 @dataclass(frozen=True, slots=True)
