@@ -28,7 +28,7 @@ SIX_AXES = np.concatenate([np.eye(3), -np.eye(3)])
 HABITS = np.array([0, 2, 1, 0, 2, 0])  # votes for SIX_AXES: structure from motion mostly has -y up, programs y or z
 FORM_VOTES, FLOOR_VOTES, FOOT_VOTES, MIRROR_VOTES, LIGHT_VOTES = 2.0, 10.0, 4.7, 3.5, 10.0
 MOST_SHADE = 3.0  # votes of shading, at most
-SURE = 8.0  # votes ahead: of half of the measured scenes floors have 11 and more, what is wrong 5 and less
+SURE_LEAD = 8.0  # votes ahead: of half of the measured scenes floors have 11 and more, what is wrong 5 and less
 MIRRORED, DETAILED = 1.3, 0.2  # how much worse other mirrors and, in deviations, how far off the detail is of a front
 SHADED = 5000  # rows that tell where a thing is lit from
 BLOCKS = 12  # of a surface, each left out once to see how much the light on it varies
@@ -72,7 +72,7 @@ def guess_up(subject: Subject, usual: Vectors = UP, filmed: bool = False) -> tup
     votes = np.array([_votes(subject, up, filmed) for up in candidates]) + FORM_VOTES * (candidates @ usual > SAME)
     best = int(np.argmax(votes))
     lead = votes[best] - votes[candidates @ candidates[best] < SAME].max()
-    return np.asarray(candidates[best]), bool(lead >= SURE)
+    return np.asarray(candidates[best]), bool(lead >= SURE_LEAD)
 
 
 def _votes(subject: Subject, up: Vectors, filmed: bool) -> float:
