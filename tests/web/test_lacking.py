@@ -93,7 +93,10 @@ HARMS = {  # done to decoders -> how many are made, one for keys and one for sta
     "unharmed": ({}, {"made": 2, "came": ALL, "said": ""}),
     "reclaimed": ({"after": 1, "times": 1}, {"made": 3, "came": ALL, "said": ""}),
     "reclaimed again": ({"after": 1, "times": 2}, {}),
-    "broken": ({"after": 0, "times": 99}, {"made": 2, "came": [], "said": BROKEN}),
+    "broken": (
+        {"after": 0, "times": 99},
+        {"made": 3, "came": [], "said": BROKEN},
+    ),  # when it comes, and when it is asked for
     "given up": ({"abortAt": 0}, {"came": [0], "said": "given up"}),
 }
 

@@ -69,9 +69,9 @@ async function watched(step: Record<string, unknown>): Promise<unknown> {
   };
   await fetched([groupPath(1)]);
   const { tiers } = tables.root;
+  watch({ after, times }); // before keyframes come: they are decoded then
   await fetched(Array.from({ length: tiers }, (_, tier) => tables.keyframeFiles(0, tier, 0)).flat());
   await fetched(tables.deltaFiles(0, level));
-  watch({ after, times });
   const came: number[] = [];
   let said = "";
   try {
