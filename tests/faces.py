@@ -72,8 +72,8 @@ from airgs_codec.package.parse import (
 )  # fmt: skip
 from airgs_codec.package.publish import GrowingPackage, staged_package, write_root, write_tables
 from airgs_codec.package.region import (
-    FORGIVEN_DEGREES, FORGIVEN_SHARE, MEASURING, before_background, draw_views, levelled, place_view, read_world,
-    up_of, upright, world_from, world_words,
+    FORGIVEN_DEGREES, FORGIVEN_SHARE, MEASURING, before_background, draw_views, levelled, opening_view, place_view,
+    read_world, up_of, upright, world_from, world_words,
 )  # fmt: skip
 from airgs_codec.package.publish import set_view
 from airgs_codec.inspect.validate import exceeded, validate, validate_files

@@ -271,7 +271,8 @@ def _as_words(report: EncodeReport, target: str) -> str:
     m, stages = report.manifest, report.stages()
     parts = ", ".join(f"{stage.about} {stage.seconds:.1f}" for stage in stages if stage.seconds >= 0.05)
     megabytes = (m.media_bytes() + report.manifest_bytes) / 1e6
-    size = f"{m.frames} frames, {float(m.frames / m.fps):.2f} s, {megabytes:.2f} MB with all rungs"
+    seconds = "" if m.still else f" {float(m.frames / m.fps):.2f} s,"
+    size = f"{m.length},{seconds} {megabytes:.2f} MB with all rungs"
     took = f"{sum(stage.seconds for stage in stages):.0f} s ({parts})"
     next_steps = f"play it: airgs-serve {target}; all tables: airgs-manifest inspect {target}"
     return f"{format_ladder(m, report.manifest_bytes)}\n\n{target}: {size}; {took}\n{next_steps}"

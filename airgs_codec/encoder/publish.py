@@ -29,7 +29,7 @@ from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock, check_shared
 from airgs_codec.package.package import Package, find_faults, open_files, write_file
 from airgs_codec.package.publish import staged_package, write_tables
-from airgs_codec.package.region import first_views
+from airgs_codec.package.region import opening_view
 from airgs_codec.package.tables import MAX_POSTER_BYTES, MAX_POSTER_SIDE, Group
 from airgs_codec.places.place import Folder, Storage, place_at
 from airgs_codec.places.whole import expect_folder_name
@@ -149,7 +149,7 @@ def content_of(run: Sequence[Frames], plan: Plan) -> list[Any]:
 
 def finish(place: Storage, sequence: GaussianSequence, plan: Plan, groups: Sequence[Group]) -> Manifest:
     """Make the tables of a package whose groups are at a place, and write the files that are no group's."""
-    first = first_views(plan.views.region, plan.views.world)[0]
+    first = opening_view(plan.views.region, plan.views.world)
     poster = draw_poster(sequence, 0, first, open_renderer(plan.settings.device))
     manifest, shared = build_manifest(plan, sequence, sequence.attribution, groups, poster)
     if sequence.sound_track:

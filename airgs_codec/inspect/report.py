@@ -38,13 +38,13 @@ def write_report(
     s = summarise(m, done.manifest_bytes)
     top, quality, worst, sizes = s["rungs"][0], result.quality, result.worst, s["top_rung_bytes"]
     claim = f", and is measured at {top['psnr']:.1f} dB, good to {top['error']:.1f} dB" if m.measured else ""
+    rate = f" a frame, {top['mean_bps'] / 1e6:.2f} Mbit/s" if top["mean_bps"] else ""
     far = ", far below the others" if worst.psnr < quality.psnr - UNEVEN_DB else ""
     largest = max(sizes, key=lambda kind: sizes[kind])
     on_ladder = {f"{r['keyframe']}+{r['delta']}": r["best"] for r in s["rungs"] if m.measured}
     answer = {
-        "good": f"The top rung takes {top['bytes_per_frame'] / 1e3:.1f} kB a frame, {top['mean_bps'] / 1e6:.2f} Mbit/s"
-        f"{claim}. It shows the frames that were given at {quality.psnr:.1f} dB in "
-        f"{words.removesuffix(f' of {a.name}')}.",
+        "good": f"The top rung takes {top['bytes_per_frame'] / 1e3:.1f} kB{rate}{claim}. "
+        f"It shows the frames that were given at {quality.psnr:.1f} dB in {words.removesuffix(f' of {a.name}')}.",
         "wrong": f"Frame {worst.frame} is the worst with {worst.psnr:.1f} dB in one picture{far}. Most bytes, "
         f"{100 * sizes[largest] / sum(sizes.values()):.0f} %, are {largest}.",
         "useless": beaten_words(on_ladder) or "Nothing.",

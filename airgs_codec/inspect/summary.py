@@ -81,7 +81,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> Row:
     ]
     s["keyframes"] = [_keyframe(m, t, q) for t in range(m.tiers) for q in range(len(m.qualities))]
     s |= {"levels": [_level(m, j) for j in range(len(m.levels))], "rungs": rung_rows(m, manifest_bytes)}
-    s["sound"] = m.sound and {"form": LAYOUTS[m.sound.channels], "mean_bps": _rate(m, sound)}
+    s["sound"] = m.sound and {"form": LAYOUTS[m.sound.channels], "mean_bps": 8 * sound * s["fps"] / m.frames}
     s |= {"top_rung_bytes": bytes_by_kind(m, manifest_bytes), "left_out": describe_left_out(m)}
     drawn = sum(g.count * (g.stop - g.start) for g in m.groups)
     s["bits_per_gaussian"] = 8 * m.frames * s["rungs"][0]["bytes_per_frame"] / max(drawn, 1)
@@ -101,8 +101,8 @@ def _waits(m: Manifest, rung: int, mbps: float) -> Row:
     return {"rung": name, "mbps": mbps, "first_s": 8e-6 * first / mbps, "seek_s": 8e-6 * max(sizes) / mbps}
 
 
-def _rate(m: Manifest, size: float) -> float:
-    return 8 * size * float(m.fps) / m.frames
+def _rate(m: Manifest, size: float) -> float | None:
+    return None if m.still else 8 * size * float(m.fps) / m.frames
 
 
 def _keyframe(m: Manifest, tier: int, quality: int) -> Row:
@@ -119,7 +119,8 @@ def _level(m: Manifest, index: int) -> Row:
     rates = [8 * size / float((s.stop - s.start) / m.fps) for size, s in zip(sizes, m.segments, strict=True)]
     row = {"id": level.id, "pruned": level.pruned, "factor": level.factor, "gaussians": [min(rows), max(rows)]}
     total = sum(sizes)
-    return row | {"bytes_per_frame": total / m.frames, "mean_bps": _rate(m, total), "peak_bps": max(rates)}
+    peak = None if m.still else max(rates)
+    return row | {"bytes_per_frame": total / m.frames, "mean_bps": _rate(m, total), "peak_bps": peak}
 
 
 def rung_rows(m: Manifest, manifest_bytes: int) -> list[Row]:
@@ -127,7 +128,7 @@ def rung_rows(m: Manifest, manifest_bytes: int) -> list[Row]:
     for rung in rungs_of(m, manifest_bytes):
         quality = quality_of(m, m.level_index(rung.level), m.quality_index(rung.keyframe_quality))
         row: Row = {"keyframe": rung.keyframe_quality, "delta": rung.level, "bytes_per_frame": rung.bytes / m.frames}
-        row |= {"mean_bps": 8 * row["bytes_per_frame"] * float(m.fps)}
+        row |= {"mean_bps": _rate(m, rung.bytes)}
         row |= dict.fromkeys(field.name for field in dataclasses.fields(RungQuality))
         rows.append(row | (dataclasses.asdict(quality) if quality else {}) | {"best": rung.best})
     return rows
@@ -233,9 +234,10 @@ def _head(m: Manifest, s: Row) -> list[str]:
         error = max(rung.error for levels in m.rungs for rung in levels)
         measured = f"quality against the {views.reference} over up to {views.measured} other pictures"
         measured += f"; the standard error of no PSNR is above {error:.2f} dB"
+    megabytes = f"SH degree {m.sh_degree}, {s['package_bytes'] / 1e6:.3f} MB in all"
+    timed = f"{m.length} at {s['fps']:g} fps ({s['duration_s']:.2f} s), {megabytes}"
     return [
-        f"{m.frames} frames at {s['fps']:g} fps ({s['duration_s']:.2f} s), SH degree {m.sh_degree}, "
-        f"{s['package_bytes'] / 1e6:.3f} MB in all ({kilobytes(s['package_bytes'] / m.frames)} kB/frame)",
+        f"{m.length}, {megabytes}" if m.still else f"{timed} ({kilobytes(s['package_bytes'] / m.frames)} kB/frame)",
         f"viewing region {region_words(region)}",
         f"views of {region.width}x{region.height} pixels, {region.fov_y:.3g}° high, "
         f"near plane at {region.near:g} units",

@@ -242,6 +242,14 @@ class Manifest(Header):
     def segments(self) -> Segments:
         return Segments(self.groups)
 
+    @property
+    def still(self) -> bool:
+        return self.frames == 1 and not self.live
+
+    @property
+    def length(self) -> str:
+        return "1 frame" if self.frames == 1 else f"{self.frames} frames"
+
     def group_of(self, segment: int) -> int:
         return self.groups.places.at_segment(segment)
 

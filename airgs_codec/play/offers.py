@@ -223,7 +223,8 @@ class Offers:
 
     def loops(self, wanted: int | None = None) -> int:
         """Return how often the sequence is played: as wanted, else for about SESSION_S; once while it grows."""
-        return 1 if self.live else wanted or max(1, round(SESSION_S / self.duration_s))
+        seconds = 0 if self.manifest.still else SESSION_S
+        return 1 if self.live else wanted or max(1, round(seconds / self.duration_s))
 
     def check_budget(self, segments: Iterable[int], budget: int | None) -> None:
         """Raise ConfigError where all rungs of one of these segments show more Gaussians than the budget has."""

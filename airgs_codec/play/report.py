@@ -80,7 +80,7 @@ def _readable(log: SessionLog) -> dict[str, str]:
     rows = {
         "policy": log.policy,
         "trace": f"{link.trace.name}, mean {link.trace.mean_bps / 1e6:.2f} Mbit/s" if link else "a real connection",
-        "played": f"{m.frames} frames, {m.played_s:.2f} s",
+        "played": "a still: 1 frame" if log.offers.manifest.still else f"{m.frames} frames, {m.played_s:.2f} s",
         "first picture": f"{m.startup_s:.3f} s: {m.startup_requests} requests, {m.startup_bytes / 1e3:.1f} kB, "
         f"{m.startup_table_bytes / 1e3:.1f} of them tables",
         "a seek": cell(m.seek_s, "{:.3f} s to a picture of the rung that was shown, with nothing of its group".format),

@@ -53,7 +53,7 @@ li > a { display: block; color: inherit; font-size: 1.1rem; font-weight: 600; te
 li > a:hover, li > a:focus-visible { text-decoration: underline }
 .poster { display: grid; place-items: center; position: relative; aspect-ratio: 4 / 3; margin-bottom: .6rem;
   background: #000; color: #fff9; font-size: 2.5rem }
-.poster img { position: absolute; width: 100%; height: 100%; object-fit: contain }
+.poster img { position: absolute; width: 100%; height: 100%; object-fit: cover }
 .title, p { display: block; margin: .25rem 1rem 0 }
 p { font-size: .875rem; opacity: .8 }
 """
@@ -96,11 +96,11 @@ def look_at(m: Manifest, root_bytes: int) -> Glance:
     size = root_bytes + listed * m.frames // part.frames
     rate = float(8 * part.bytes_of(part.rung_files(0, 0)) * m.fps / part.frames)  # bits a second, without tables
     quality, about = quality_of(part, 0, 0), "" if whole else "about "
+    cost = _size(part.bytes_of(part.rung_files(0, 0))) if m.still else f"{rate / 1e6:.3g} Mbit/s"
     words = [
-        f"{float(m.frames / m.fps):.1f} s",
-        "1 frame" if m.frames == 1 else f"{m.frames} frames",
+        m.length if m.still else f"{float(m.frames / m.fps):.1f} s · {m.length}",
         f"{about}{_size(size)}",
-        f"{about}{rate / 1e6:.3g} Mbit/s{f' and {quality.psnr:.1f} dB' if quality else ''} at best",
+        f"{about}{cost}{f' and {quality.psnr:.1f} dB' if quality else ''} at best",
         *(["live"] if m.live else []),
     ]
     return Glance(" · ".join(words), m.attribution, m.poster is not None)

@@ -129,8 +129,8 @@ def test_a_package_has_a_view_of_its_first_frame_from_where_viewers_begin(fox, m
     with Image.open(io.BytesIO(data)) as opened:
         assert (opened.format, max(opened.size)) == ("JPEG", 640)
         poster = np.asarray(opened.convert("RGB"))
-    camera = faces.place_view(region, faces.levelled(region, fox.manifest.world).places[0])
-    camera = faces.with_pixels(camera, *poster.shape[1::-1])
+    camera = faces.with_pixels(faces.opening_view(region, fox.manifest.world), *poster.shape[1::-1])
+    assert poster.shape[:2] == (360, 640)
     expected = faces.to_bytes(faces.CPU.render(sequence.load([0]).frames[0], camera).rgb)
     assert psnr(float(np.square((poster.astype(float) - expected) / 255).mean())) > 30  # what JPEG loses
     for most in (20_000, 5_000, 900):

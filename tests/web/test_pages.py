@@ -6,7 +6,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from tests.faces import export_page, open_package
+from tests.faces import export_page, mse, open_package, psnr, read_picture
 from tests.support.browser import WEB, Answer, build_pages, missing, serve, visit_all
 from tests.support.page import SHIPPED, asking, shipped_page
 from tests.support.paths import CORPUS, GOLDEN, VALID
@@ -96,3 +96,55 @@ def test_it_fills_the_window_of_a_phone(seen):
     assert [phone["element"][side] for side in ("left", "top", "width", "height")] == [0, 0, 390, 844]
     assert bar["left"] >= 0 and bar["right"] <= 390 and bar["bottom"] <= 844
     assert (phone["page"], phone["touchAction"]) == ([390, 844], "none")
+
+
+def ray(camera, x, y, width=480, height=270):
+    """The direction in which a pixel of a page is seen."""
+    forward, up = np.array(camera["forward"]), np.array(camera["up"])
+    high = 2 * np.tan(np.radians(camera["fovY"]) / 2) / height
+    return forward + high * ((x - width / 2) * np.cross(forward, up) + (height / 2 - y) * up)
+
+
+@pytest.fixture(scope="module")
+def hand(demo_package, tmp_path_factory):
+    """What a hand does to a package of the embedded scene and to a still (web/test/pages/hand.ts), and pictures."""
+    build_pages()
+    shots = tmp_path_factory.mktemp("shots")
+    folders = {"web": WEB, "page": SHIPPED, "scenes": demo_package.parent, "valid": VALID}
+    with serve(folders, {"/page/player.html": shipped_page("hand")}) as site:
+        sources = (f"/scenes/{demo_package.name}/&shots={shots}", "/valid/placed/")
+        visits = visit_all([(f"{site.url}/page/player.html?src={source}", "") for source in sources])
+    assert [one.complaints() for one in visits] == [[], []]
+    return {"scene": visits[0].report, "still": visits[1].report, "shots": shots}
+
+
+def test_a_still_has_no_transport_is_drawn_whole_and_costs_bytes(hand):
+    still = hand["still"]
+    assert not still["play"] and not still["line"] and not still["big"] and still["paused"]
+    assert still["time"] == "1 frame" and still["width"] == 480
+    assert "kB" in still["menu"] and "bit/s" not in still["menu"]
+    assert hand["scene"]["play"] and hand["scene"]["line"]
+
+
+@pytest.mark.parametrize("window", ["wide", "tall"])
+def test_the_poster_is_the_first_picture(hand, window):
+    shots = (read_picture(hand["shots"] / f"{window}-{name}.png") for name in ("poster", "first"))
+    poster, first = (shot[..., :3] / np.float32(255) for shot in shots)
+    assert first.std() > 0.1 and psnr(mse(poster, first)) > 27
+
+
+def test_a_drag_turns_about_the_subject_which_fills_a_phone(hand):
+    middles = [seen["middle"] for seen in hand["scene"]["turned"]]
+    assert np.ptp(middles) < 0.05
+    assert hand["scene"]["tall"]["width"] > 0.6
+
+
+def test_a_double_click_looks_at_what_is_there_and_drags_turn_about_it_then(hand):
+    before, looked, around = (hand["scene"][name] for name in ("before", "looked", "around"))
+    aim = ray(before, 290, 110)
+    assert looked["position"] == pytest.approx(before["position"], abs=1e-6)
+    assert looked["forward"] == pytest.approx(aim / np.linalg.norm(aim), abs=1e-3)
+    ways, places = (np.array([one[name] for one in (looked, around)]) for name in ("forward", "position"))
+    depths, off, *_ = np.linalg.lstsq(ways.T * [1, -1], places[1] - places[0], rcond=None)
+    assert off < 1e-6 and 1.5 < depths[0] < 3.5  # the axes of both views meet in the scene
+    assert 0.5 < hand["scene"]["framed"]["width"] < 0.95  # and F shows all of it

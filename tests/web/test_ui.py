@@ -104,6 +104,7 @@ def test_keys_look_around_play_and_seek(report):
     assert steps == pytest.approx([5, -5, 1 / 24, -1 / 24, 5], abs=0.011)  # the calls have two decimals
     assert seen["panel"]
     assert seen["after"] == len(seen["calls"])  # numbers do nothing
+    assert "turn over" in seen["card"] and "full screen" in seen["card"] and seen["left"]
 
 
 TABLE = {
@@ -122,11 +123,11 @@ TABLE = {
     },
     "menu": {  # chooses a rung and a speed
         "items": [["menuitemradio", text] for text in (
-            "Autonow 31.4 dB", "43.1 dB5.2 Mbit/sQ0+L3", "38.9 dB2.1 Mbit/sQ1+L2", "35.2 dB980 kbit/sQ1+L1",
-            "31.4 dB420 kbit/sQ2+L0",
+            "Autonow Smallest", "Best5.2 Mbit/s · 43.1 dBQ0+L3", "Good2.1 Mbit/s · 38.9 dBQ1+L2",
+            "Small980 kbit/s · 35.2 dBQ1+L1", "Smallest420 kbit/s · 31.4 dBQ2+L0",
         )] + [["menuitem", "How “Auto” chooses"]],
-        "picked": "Q0+L3", "closed": True, "focused": "Quality: 43.1 dB", "second": "Q1+L2", "attribute": "Q1+L2",
-        "speed": 2,
+        "picked": "Q0+L3", "closed": True, "focused": "Quality: Best · 5.2 Mbit/s · 43.1 dB", "second": "Q1+L2",
+        "attribute": "Q1+L2", "speed": 2,
     },
     "live": {  # the newest is gone to
         "behind": "Live: go to the newest", "newest": "Live: this is the newest",
@@ -155,6 +156,8 @@ def test_everything_has_a_name_and_its_place_in_the_order(report):
     start = ["3D view", "Play", "Seek", "Play", "Live: go to the newest"]
     assert [label for label in order if label][:5] == start
     assert "Full screen" in order and seen["live"] == "polite"
+    assert seen["ups"][0] < 0 < seen["ups"][1]  # a button turns over, another one compares
+    assert seen["second"] == "Q2+L0" and seen["split"] is None
 
 
 def test_trouble_is_said_in_words(report):

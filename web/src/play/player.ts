@@ -3,6 +3,7 @@ import { firstView, levelled, type ViewState } from "../format/region.ts";
 import type { Region, World } from "../format/types.ts";
 import { DEFAULT_POLICY, HEADER_BYTES, SESSION } from "../generated/constants.ts";
 import { Media } from "../media/client.ts";
+import type { Drawn } from "../render/renderer.ts";
 import { joinNewest } from "./downloader.ts";
 import { Offers } from "./offers.ts";
 import { Playback, type PlayerOptions, type Problem, problemOf, type Wishes } from "./playback.ts";
@@ -275,6 +276,11 @@ export class Player extends EventTarget {
     this.camera = this.camera;
     this.#playback?.follow();
     this.#tell("vr");
+  }
+
+  /** What the last picture shows of each Gaussian; null: there is no picture. */
+  drawn(): Drawn | null {
+    return this.#playback?.screen.read() ?? null;
   }
 
   get stats(): PlayerStats {

@@ -3,7 +3,7 @@
 import { cameraOf, type ViewState } from "../format/region.ts";
 import type { Camera, Canonical, Group, Root } from "../format/types.ts";
 import { UnsupportedError } from "../media/errors.ts";
-import { Renderer, type Scene, type Surface } from "../render/renderer.ts";
+import { type Drawn, Renderer, type Scene, type Surface } from "../render/renderer.ts";
 import { Sorter } from "../render/sorter.ts";
 import type { TargetFormat } from "../render/textures.ts";
 import type { Clip } from "./pipeline.ts";
@@ -43,6 +43,7 @@ export class Screen {
   #view: ViewState | null = null;
   #size = { width: 1, height: 1 };
   #dirty = false;
+  #drawn: { scene: Scene; camera: Camera } | null = null;
   #made = 0;
   readonly #end = new AbortController();
 
@@ -110,8 +111,15 @@ export class Screen {
     if (!this.#dirty || !this.#shown || !this.#view || !this.#renderer || this.#renderer.busy) return false;
     const { width, height } = this.#size;
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
-    this.#dirty = !this.#renderer.draw(this.#shown.scene, cameraOf(this.#view, width, height));
+    const [{ scene }, camera] = [this.#shown, cameraOf(this.#view, width, height)];
+    this.#dirty = !this.#renderer.draw(scene, camera);
+    if (!this.#dirty) this.#drawn = { scene, camera };
     return !this.#dirty;
+  }
+
+  /** What the last picture shows of each Gaussian; null: there is none. */
+  read(): Drawn | null {
+    return (this.#drawn && this.#renderer?.read(this.#drawn.scene, this.#drawn.camera)) ?? null;
   }
 
   /** Draw for eyes around the view, whatever has changed: a headset forgets its pictures. True: they were drawn. */

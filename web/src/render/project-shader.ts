@@ -84,7 +84,7 @@ function harmonics(degree: number): string {
  *
  * With reach = ln(255 α) and the Cholesky form power = −(d² / w² + dy² / h²) · reach, d = dx − shear · dy, the
  * parallelogram (u, v) in [−1, 1]², dy = h v, d = w u bounds where α is 1/255 or more. first: its centre, w and h;
- * second: shear, reach, colour in half floats.
+ * second: shear, reach; in half floats the colour, and the binary logarithm of the depth.
  */
 export function projection(degree: number, channels: number): string {
   const layers = Math.ceil(channels / 4);
@@ -130,7 +130,7 @@ void main() {
   if (!(dot(abs(rgb), vec3(1.0)) < 1e6)) return;
   rgb = clamp(rgb, 0.0, 65504.0); // the largest half float
   first = floatBitsToUint(vec4(centre, sqrt(2.0 * reach * det / yy), sqrt(2.0 * reach * yy)));
-  uvec2 tint = uvec2(packHalf2x16(rgb.rg), packHalf2x16(vec2(rgb.b, 0.0)));
+  uvec2 tint = uvec2(packHalf2x16(rgb.rg), packHalf2x16(vec2(rgb.b, log2(seen.z))));
   second = uvec4(floatBitsToUint(vec2(xy / yy, reach)), tint);
 }`;
 }

@@ -28,6 +28,13 @@ export interface Surface {
   height: number;
 }
 
+/** What was drawn of each row, four numbers of each texel of `projection` (project-shader.ts), and by which camera. */
+export interface Drawn {
+  firsts: Float32Array;
+  seconds: Float32Array;
+  camera: Camera;
+}
+
 const SAMPLERS = ["luma", "bases", "transform", "places", "rotations", "sizes", "ranks", "layers"];
 const PROJECTION = "projection ";
 
@@ -143,6 +150,20 @@ export class Renderer {
     gl.deleteSync(this.#drawing);
     this.#drawing = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     return true;
+  }
+
+  /** What a camera drew last of a scene; null: nothing. It waits for the GPU. */
+  read(scene: Scene, camera: Camera): Drawn | null {
+    if (this.lost || scene.freed) return null;
+    const gl = this.#gl;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, scene.projection);
+    const [firsts, seconds] = [gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1].map((from) => {
+      const texels = new Uint32Array(4 * ROW_WIDTH * scene.places.height);
+      gl.readBuffer(from);
+      gl.readPixels(0, 0, ROW_WIDTH, scene.places.height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, texels);
+      return new Float32Array(texels.buffer);
+    });
+    return { firsts, seconds, camera };
   }
 
   free(scene: Scene): void {

@@ -3,7 +3,7 @@ import type { Desk } from "./desk.ts";
 import { ICONS, iconButton, make, relabel, write } from "./dom.ts";
 import type { Page } from "./menu.ts";
 import { Timeline } from "./timeline.ts";
-import { clock, qualityName, rungTitle, speedName } from "./words.ts";
+import { chosenRung, clock, qualityName, rungFigures, rungTitle, speedName } from "./words.ts";
 
 const LIVE_S = 8;
 
@@ -16,10 +16,12 @@ export class Bar {
   readonly #home = iconButton(ICONS.home, "Back to the first view", { class: "home" });
   readonly #free = iconButton(ICONS.bounded, "Leave the viewing region", { class: "wide" });
   readonly #link = iconButton(ICONS.link, "Copy a link to this view", { class: "wide" });
+  readonly #split = iconButton(ICONS.split, "Compare with the smallest", { class: "wider" });
+  readonly #over = iconButton(ICONS.over, "Turn over", { class: "wider" });
   readonly info = iconButton(ICONS.info, "Figures");
   readonly #vr = iconButton(ICONS.vr, "Enter VR");
   readonly #full = iconButton(ICONS.full, "Full screen");
-  readonly #settings = this.#opens(iconButton(ICONS.settings, "Settings", { class: "narrow" }));
+  readonly #settings = this.#opens(iconButton(ICONS.settings, "Settings"));
   readonly #speed = this.#opens(make("button", { type: "button", class: "text wide", "data-tip": "Speed" }));
   readonly #quality = this.#opens(make("button", { type: "button", class: "text wide", "data-tip": "Quality" }));
   readonly #chosen = document.createTextNode("Auto");
@@ -33,8 +35,9 @@ export class Bar {
   ) {
     this.timeline = new Timeline(desk);
     const left = [this.play, this.#sound, this.#live, this.#time, make("span", { class: "gap" })];
-    const chosen = [this.#speed, this.#quality, this.#loop, this.#free, this.#home, this.#link, this.#settings];
-    const row = make("div", { class: "row" }, ...left, ...chosen, this.info, this.#vr, this.#full);
+    const chosen = [this.#speed, this.#quality, this.#loop, this.#free, this.#home];
+    const more = [this.#over, this.#split, this.#link, this.#settings, this.info, this.#vr, this.#full];
+    const row = make("div", { class: "row" }, ...left, ...chosen, ...more);
     const attributes = { class: "bar", part: "controls", role: "group", "aria-label": "Controls" };
     this.node = make("div", attributes, this.timeline.node, row);
     this.#listen();
@@ -44,6 +47,10 @@ export class Bar {
     const { player, orbit, ready, full, headset } = this.desk;
     const action = player.ended ? "again" : player.paused ? "play" : "pause";
     relabel(this.play, action, { again: "Play again", play: "Play", pause: "Pause" }[action]);
+    const { still } = this.desk;
+    for (const part of [this.play, this.timeline.node, this.#loop, this.#speed]) part.hidden = still;
+    this.#split.hidden = !this.desk.comparable;
+    this.#split.ariaPressed = String(this.desk.split);
     this.#sound.hidden = !player.hasSound;
     relabel(this.#sound, player.muted ? "mute" : "sound", player.muted ? "Sound on" : "Mute");
     this.#loop.ariaPressed = String(player.loop);
@@ -58,8 +65,10 @@ export class Bar {
     this.#speed.ariaLabel = `Speed: ${speedName(player.speed)}`;
     const shown = player.quality === "auto" && player.rung !== null ? this.desk.rungs[player.rung] : undefined;
     write(this.#chosen, qualityName(this.desk));
-    write(this.#shown, shown ? rungTitle(shown) : "");
-    this.#quality.ariaLabel = `Quality: ${qualityName(this.desk)}`;
+    write(this.#shown, shown ? rungTitle(this.desk, shown) : "");
+    const chosen = chosenRung(this.desk);
+    const figures = chosen && rungFigures(this.desk, chosen);
+    this.#quality.ariaLabel = `Quality: ${qualityName(this.desk)}${figures ? ` · ${figures}` : ""}`;
     this.#liveness();
     for (const button of this.node.querySelectorAll("button")) button.disabled = !ready && button !== this.#full;
     this.timeline.node.ariaDisabled = String(!ready);
@@ -69,7 +78,8 @@ export class Bar {
   updateTime(): void {
     const { duration } = this.desk.player;
     this.timeline.update();
-    write(this.#time, duration > 0 ? `${clock(this.timeline.time, duration)} / ${clock(duration)}` : "");
+    const times = duration > 0 ? `${clock(this.timeline.time, duration)} / ${clock(duration)}` : "";
+    write(this.#time, this.desk.still ? "1 frame" : times);
   }
 
   #liveness(): void {
@@ -100,6 +110,8 @@ export class Bar {
     click(this.#sound, () => desk.toggleSound());
     click(this.#loop, () => desk.set("loop", !desk.player.loop));
     click(this.#free, () => desk.set("view-region", desk.orbit.free ? "bounded" : "free"));
+    click(this.#split, () => desk.toggleSplit());
+    click(this.#over, () => desk.turnOver());
     click(this.#home, () => desk.home());
     click(this.#link, () => desk.copyLink());
     click(this.info, () => desk.toggleInfo());

@@ -29,6 +29,11 @@ export interface Desk {
   readonly colours: readonly string[];
   readonly ready: boolean;
   readonly full: boolean;
+  /** Whether the package has one frame. */
+  readonly still: boolean;
+  /** Whether two rungs are beside each other, and whether there are two. */
+  readonly split: boolean;
+  readonly comparable: boolean;
   /** Whether there is a headset to put on. */
   readonly headset: boolean;
   /** The share of the display's pixels in each direction that is drawn, and how many these are. */
@@ -42,6 +47,10 @@ export interface Desk {
   home(first?: boolean): void;
   beginHere(): void;
   turnOver(): void;
+  /** Go to where all of the subject is seen. */
+  showSubject(): void;
+  toggleSplit(): void;
+  toggleKeys(): void;
   /** Whether the address of the page says where to begin, and copies of it can. */
   readonly linked: boolean;
   copyLink(): void;

@@ -68,6 +68,8 @@ export const ICONS = {
     "M5 8h8M17 8h2M5 16h2M11 16h8M15 5.8a2.2 2.2 0 1 0 0 4.4 2.2 2.2 0 0 0 0-4.4zM9 13.8a2.2 2.2 0 1 0 0 4.4 2.2 2.2 0 0 0 0-4.4z",
   full: "M9 5H5v4M15 5h4v4M9 19H5v-4M15 19h4v-4",
   small: "M5 9h4V5M19 9h-4V5M5 15h4v4M19 15h-4v4",
+  split: "M4 6h16v12H4zM12 3.5v17",
+  over: "M7.5 4.5v13M4 14l3.5 3.5L11 14M16.5 19.5v-13M13 10l3.5-3.5L20 10",
   vr: "M3 8h18v9h-6l-2-3h-2l-2 3H3z",
 } as const;
 

@@ -1,5 +1,6 @@
 // The keyboard: what each key does.
 import type { Desk } from "./desk.ts";
+import { iconButton, make, OTHERS } from "./dom.ts";
 import type { Push } from "./orbit.ts";
 
 const TURN = 1.1;
@@ -36,15 +37,54 @@ const COMMANDS: Readonly<Record<string, (desk: Desk) => void>> = {
   b: (desk) => desk.beginHere(),
   o: (desk) => desk.turnOver(),
   c: (desk) => desk.copyLink(),
-  f: (desk) => desk.toggleFull(),
+  f: (desk) => desk.showSubject(),
+  enter: (desk) => desk.toggleFull(),
   m: (desk) => desk.toggleSound(),
   i: (desk) => desk.toggleInfo(),
+  "?": (desk) => desk.toggleKeys(),
 };
 
-/** In words, for a help text: what people who cannot see buttons want to know. */
-export const HELP =
-  "Arrow keys turn the view, plus and minus zoom, W A S D move it, R goes back to where you began, Home to the first view, B begins here, O turns over. " +
-  "Space plays and pauses, J and L skip, comma and period go frame by frame, F is full screen, M mutes.";
+/** All of them in words; those of TIMED do nothing to a still. */
+const LOOKING = [
+  ["Arrow keys, drag", "turn"],
+  ["W A S D, right button", "move"],
+  ["+ −, wheel, pinch", "zoom"],
+  ["F", "show all of the subject"],
+  ["Double click", "turn about what is there"],
+  ["R", "back to where you began"],
+  ["B", "begin here"],
+  ["Home", "back to the first view"],
+  ["O", "turn over"],
+  ["C", "copy a link"],
+  ["I", "figures"],
+  ["Enter", "full screen"],
+  ["?", "these keys"],
+] as const;
+const TIMED = [
+  ["Space, K", "play, pause"],
+  ["J L", "five seconds back, on"],
+  [", .", "one frame back, on"],
+  ["M", "mute"],
+] as const;
+
+const rowsOf = ({ still }: Pick<Desk, "still">) => [...(still ? [] : TIMED), ...LOOKING];
+
+/** For a help text: what people who cannot see buttons want to know. */
+export const helpOf = (desk: Desk): string =>
+  rowsOf(desk)
+    .map((row) => row.join(": "))
+    .join("; ");
+
+/** A card with all keys; `leave` is called when people are done with it. */
+export function keysCard(desk: Desk, leave: () => void): HTMLElement {
+  const close = iconButton(OTHERS.close, "Close");
+  const rows = rowsOf(desk).map(([key, what]) => make("div", {}, make("dt", {}, key), make("dd", {}, what)));
+  const attributes = { class: "card keys", role: "dialog", "aria-label": "Keys", tabindex: -1 };
+  const card = make("section", attributes, make("div", { class: "head" }, "Keys", close), make("dl", {}, ...rows));
+  close.addEventListener("click", leave);
+  card.addEventListener("keydown", ({ key }) => key === "Escape" && leave());
+  return card;
+}
 
 const own = (target: EventTarget | undefined, key: string): boolean =>
   target instanceof HTMLElement &&

@@ -1,7 +1,7 @@
 // The menu: quality, speed, policy, and what is on or off.
 import type { Desk } from "./desk.ts";
 import { icon, make, OTHERS } from "./dom.ts";
-import { POLICIES, qualityName, rate, rungTitle, speedName } from "./words.ts";
+import { POLICIES, qualityName, rungFigures, rungTitle, speedName } from "./words.ts";
 
 const SPEEDS = [0.25, 0.5, 0.75, 1, 1.25, 1.5, 2] as const;
 export type Page = "settings" | "quality" | "others" | "speed" | "policy";
@@ -24,6 +24,7 @@ export class Menu {
   #page: Page | null = null;
   #first: Page = "settings";
   #opener: HTMLElement | null = null;
+  #told: Desk["rungs"] = [];
 
   constructor(readonly desk: Desk) {
     const on = { signal: desk.signal };
@@ -57,8 +58,15 @@ export class Menu {
     this.desk.wake();
   }
 
+  /** The figures of rungs have come: say them where people look. */
+  update(): void {
+    const { rungs } = this.desk;
+    if (this.#told !== rungs && (this.#page === "quality" || this.#page === "others")) this.#show(this.#page);
+  }
+
   #show(page: Page): void {
     this.#page = page;
+    this.#told = this.desk.rungs;
     const { title, items } = this.#content(page);
     const nodes = items.map((item) => this.#button(item));
     const head = make("div", { class: "head" }, title);
@@ -82,7 +90,7 @@ export class Menu {
   }
 
   #content(page: Page): { title: string; items: Item[] } {
-    if (page === "quality") return { title: "Quality, as claimed (PSNR)", items: this.#qualities() };
+    if (page === "quality") return { title: "Quality", items: this.#qualities() };
     if (page === "others") return { title: "For these, others give more at no more bytes", items: this.#rungs(false) };
     if (page === "policy") return { title: "How “Auto” chooses", items: this.#policies() };
     if (page === "speed") return { title: "Speed", items: this.#speeds() };
@@ -90,19 +98,25 @@ export class Menu {
   }
 
   #settings(): Item[] {
-    const { player, orbit } = this.desk;
-    return [
-      { label: "Quality", note: qualityName(this.desk), run: () => this.#show("quality") },
+    const { player, orbit, still, comparable, split } = this.desk;
+    const timed: Item[] = [
       { label: "Speed", note: speedName(player.speed), run: () => this.#show("speed") },
       this.#toggle("Loop", player.loop, (on) => this.desk.set("loop", on)),
+    ];
+    return [
+      { label: "Quality", note: qualityName(this.desk), run: () => this.#show("quality") },
+      ...(still ? [] : timed),
+      ...(comparable ? [this.#toggle("Compare with the smallest", split, () => this.desk.toggleSplit())] : []),
       this.#toggle("Leave the viewing region", orbit.free, (on) =>
         this.desk.set("view-region", on ? "free" : "bounded"),
       ),
+      this.#action("Show all of the subject", "F", () => this.desk.showSubject()),
       this.#action("Turn over", "O", () => this.desk.turnOver()),
       this.#action("Begin here", "B", () => this.desk.beginHere()),
       this.#action("Back to where you began", "R", () => this.desk.home()),
       this.#action("Back to the first view of the scene", "Home", () => this.desk.home(true)),
       ...(this.desk.linked ? [this.#action("Copy a link to this view", "C", () => this.desk.copyLink())] : []),
+      this.#action("Keys", "?", () => this.desk.toggleKeys()),
     ];
   }
 
@@ -118,12 +132,12 @@ export class Menu {
     const { player, rungs } = this.desk;
     const shown = player.rung === null ? undefined : rungs[player.rung];
     const auto = player.quality === "auto";
-    const note = auto && shown ? `now ${rungTitle(shown)}` : "";
+    const note = auto && shown ? `now ${rungTitle(this.desk, shown)}` : "";
     return [
       { label: "Auto", note, checked: auto, run: this.#pick("auto") },
       ...this.#rungs(true),
       ...(rungs.every((rung) => rung.onLadder) ? [] : [{ label: "Others", run: () => this.#show("others") }]),
-      { label: "How “Auto” chooses", run: () => this.#show("policy") },
+      ...(this.desk.still ? [] : [{ label: "How “Auto” chooses", run: () => this.#show("policy") }]),
     ];
   }
 
@@ -131,13 +145,13 @@ export class Menu {
   #rungs(onLadder: boolean): Item[] {
     const { player, rungs, colours } = this.desk;
     const numbered = rungs.map((rung, number) => ({ rung, colour: colours[number] ?? "" }));
-    numbered.sort((a, b) => b.rung.kbps - a.rung.kbps);
+    numbered.sort((a, b) => b.rung.kbps - a.rung.kbps); // those that are not known yet stay: the first is the best
     return numbered
       .filter(({ rung }) => rung.onLadder === onLadder)
       .map(({ rung, colour }) => ({
-        label: rungTitle(rung),
-        note: rung.kbps > 0 ? rate(1000 * rung.kbps) : "",
-        name: rung.psnr === null ? "" : rung.name,
+        label: rungTitle(this.desk, rung),
+        note: rungFigures(this.desk, rung),
+        name: rung.name,
         colour,
         checked: player.quality === rung.name,
         run: this.#pick(rung.name),

@@ -17,6 +17,7 @@ import {
 } from "../format/vector.ts";
 import type { CameraPath } from "../play/keyframes.ts";
 import type { Stance } from "./address.ts";
+import type { Subject } from "./subject.ts";
 
 /** From where, and in what direction (length 1). */
 interface Pose {
@@ -48,13 +49,33 @@ const NEAREST = 0.02;
 const FARTHEST = 20;
 /** Wider than this, the picture is distorted: degrees. */
 const WIDEST = 100;
+/** A subject that is framed fills this share of the picture. */
+const FRAMED = 0.8;
+/** Places look at one thing if none of them is turned away from their middle by more, radians. */
+const ASIDE = Math.PI / 6;
 const NOWHERE: Place = { position: [0, 0, -4], focus: [0, 0, 0], up: [0, -1, 0], reach: 0 };
 const FOV_Y = 50;
 const NEAR = 0.01;
 
-const firstOf = ({ position, focus }: Place): Stance => ({ position: vector(position), focus: vector(focus) });
+const aheadOf = ({ position, focus }: Place): Vector => unit(minus(focus, position));
 
-/** A camera about the focus of the nearest place of a region. */
+/** The middle of what all places of a region look at, and how far they look past it, radians; null: there is none. */
+function middleOf({ places }: Region): { middle: Vector; aside: number } | null {
+  const middle = scaled(
+    places.reduce<Vector>((sum, { focus }) => along(sum, focus), [0, 0, 0]),
+    1 / places.length,
+  );
+  const aside = Math.max(...places.map((place) => angle(aheadOf(place), unit(minus(middle, place.position)))));
+  return aside < ASIDE ? { middle, aside } : null;
+}
+
+/** The same region, from all of whose places viewers look at the middle, and as far aside as before. */
+function lookingAt(region: Region, { middle, aside }: { middle: Vector; aside: number }): Region {
+  const places = region.places.map((place) => ({ ...place, focus: [...middle] }));
+  return { ...region, turn: region.turn + (aside * 180) / Math.PI, places };
+}
+
+/** A camera about the subject: the middle of what all places of a region look at, else what the nearest one does. */
 export class Orbit {
   /** Whether viewers may leave the region. */
   free = false;
@@ -64,13 +85,18 @@ export class Orbit {
   /** How far the viewer is pulled out of the region, 0 … 1. */
   strain = 0;
   #place: Place = NOWHERE;
+  #middle: Vector | null;
+  /** The region as its wall is for viewers who look at its middle. */
+  readonly #walls: Region | null;
   #pose: Pose = { position: [0, 0, -4], forward: [0, 0, 1] };
   #up: Vector = vector(NOWHERE.up);
   readonly #first: Place;
   /** What the region says is up, and where viewers begin. */
   readonly #upright: Vector;
   #start: Stance;
-  #pan: Vector = [0, 0, 0];
+  /** What it turns about; viewers may choose it. */
+  #pivot: Vector = [0, 0, 0];
+  #chosen = false;
   readonly #speed: Required<Push> = { right: 0, up: 0, panRight: 0, panUp: 0, nearer: 0 };
   #drive: Push = {};
   #glide: { from: Pose; left: number } | null = null;
@@ -81,7 +107,10 @@ export class Orbit {
   constructor(readonly region: Region | null = null) {
     this.#first = region ? region.places[0]! : NOWHERE;
     this.#upright = region ? upright(region) : vector(NOWHERE.up);
-    this.#start = firstOf(this.#first);
+    const seen = region && middleOf(region);
+    this.#middle = seen ? seen.middle : null;
+    this.#walls = seen ? lookingAt(region, seen) : region;
+    this.#start = this.#opening;
     this.#stand(this.#start);
   }
 
@@ -93,8 +122,43 @@ export class Orbit {
 
   /** From now on, the viewer begins somewhere else, or (null) at the first place of the region; he goes there. */
   begin(stance: Stance | null): void {
-    this.#start = stance ?? firstOf(this.#first);
+    this.#start = stance ?? this.#opening;
     this.reset();
+  }
+
+  /** The first view, with a focus beside the middle of the subject. */
+  get #opening(): Stance {
+    const [position, ahead] = [vector(this.#first.position), aheadOf(this.#first)];
+    const depth = this.#middle ? dot(minus(this.#middle, position), ahead) : 0;
+    return { position, focus: depth > 0 ? along(position, ahead, depth) : vector(this.#first.focus) };
+  }
+
+  /** From now on it turns about the middle of a subject; what is seen stays as it is. */
+  aim({ middle }: Subject): void {
+    if (!this.#chosen) this.#pivot = middle;
+  }
+
+  /** Look at a point, and turn about it. */
+  lookAt(point: Vector): void {
+    this.#take(point, this.#pose.position, unit(minus(point, this.#pose.position), this.#pose.forward));
+  }
+
+  /** Go to where a subject fills a picture of an aspect, without a turn. */
+  show({ middle, half }: Subject, aspect: number): void {
+    const high = FRAMED * Math.tan((this.#fov(aspect) * Math.PI) / 360);
+    const away = half[2] + Math.max(half[0] / aspect, half[1]) / high;
+    this.#take(middle, along(middle, this.#pose.forward, -away), this.#pose.forward);
+  }
+
+  #take(pivot: Vector, position: Vector, forward: Vector): void {
+    this.stop();
+    this.#startGlide();
+    [this.#pivot, this.#pose, this.#chosen] = [pivot, { position, forward }, true];
+  }
+
+  /** What a subject is looked for about. */
+  get pivot(): Vector {
+    return this.#pivot;
   }
 
   /** Go along a path that is read, given what is up and a field of view, until somebody takes the camera. */
@@ -119,7 +183,7 @@ export class Orbit {
 
   get stance(): Stance {
     const { position, forward } = this.#pose;
-    const focus = along(position, forward, length(minus(this.#pivot, position)));
+    const focus = along(position, forward, this.#depth);
     return length(minus(this.#up, this.#upright)) > 0 ? { position, focus, up: this.#up } : { position, focus };
   }
 
@@ -127,7 +191,7 @@ export class Orbit {
     const { position, focus, up } = stance;
     this.#pose = { position, forward: unit(minus(focus, position)) };
     this.#place = this.region ? placeOf(this.region, this.#pose) : NOWHERE;
-    this.#pan = minus(focus, this.#place.focus);
+    [this.#pivot, this.#chosen] = [focus, false];
     this.#up = up ?? this.#upright;
     this.#lens = null;
     this.#halt();
@@ -150,9 +214,9 @@ export class Orbit {
 
   /** The nearest pose in the region, and the way there: world units, radians; `far`: it can be seen. */
   #departure(): { inside: Pose; out: number; off: number; far: boolean } | null {
-    if (!this.region) return null;
+    if (!this.#walls) return null;
     const { position, forward } = this.#pose;
-    const inside = keepInside(this.region, position, forward);
+    const inside = insideOf(this.#walls, this.#pose, this.#pivot);
     const [out, off] = [length(minus(position, inside.position)), angle(forward, inside.forward)];
     return { inside, out, off, far: out > STILL * length(minus(inside.position, this.#pivot)) || off > STILL };
   }
@@ -206,7 +270,9 @@ export class Orbit {
     return moved;
   }
 
-  /** The view in a picture of an aspect: at least as wide and high as what the package was judged by. */
+  /** The view in a picture of an aspect: as high as what the package was judged by; at least as wide as that is high, or
+   * wide. The poster is shown by the same rule (style.css).
+   */
   view(aspect: number): ViewState {
     const { position, forward } = this.pose();
     const up = unit(cross(unit(cross(forward, this.#up), [1, 0, 0]), forward));
@@ -214,7 +280,8 @@ export class Orbit {
   }
 
   pose(): Pose {
-    const pose = this.region && !this.free ? softened(this.region, this.#pose) : { ...this.#pose, strain: 0 };
+    const walls = this.free ? null : this.#walls;
+    const pose = walls ? softened(walls, this.#pose, this.#pivot) : { ...this.#pose, strain: 0 };
     this.strain = pose.strain;
     if (!this.#glide) return pose;
     const { from, left } = this.#glide;
@@ -225,8 +292,11 @@ export class Orbit {
     return { position, forward: between(pose.forward, from.forward, share) };
   }
 
-  get #pivot(): Vector {
-    return along(vector(this.#place.focus), this.#pan);
+  /** How far ahead the pivot is: beside the viewer, as if it were in front of him. */
+  get #depth(): number {
+    const way = minus(this.#pivot, this.#pose.position);
+    const depth = dot(way, this.#pose.forward);
+    return depth > 0 ? depth : length(way);
   }
 
   get #rest(): number {
@@ -240,9 +310,9 @@ export class Orbit {
   #fov(aspect: number): number {
     const { fov_y, width, height } = this.region ?? { fov_y: FOV_Y, width: 16, height: 9 };
     const fov = this.#lens ?? fov_y;
-    const judged = width / height;
-    if (aspect >= judged) return fov;
-    const wide = (2 * Math.atan((Math.tan((fov * Math.PI) / 360) * judged) / aspect) * 180) / Math.PI;
+    const least = Math.min(1, width / height);
+    if (aspect >= least) return fov;
+    const wide = (2 * Math.atan((Math.tan((fov * Math.PI) / 360) * least) / aspect) * 180) / Math.PI;
     return Math.max(fov, Math.min(wide, WIDEST));
   }
 
@@ -260,26 +330,28 @@ export class Orbit {
   #shift(right: number, up: number): void {
     const { position, forward } = this.#pose;
     const side = unit(cross(forward, this.#up), [1, 0, 0]);
-    const high = 2 * Math.tan((this.#fov(1) * Math.PI) / 360) * length(minus(position, this.#pivot));
+    const half = (this.#fov(1) * Math.PI) / 360;
+    const high = 2 * Math.tan(half) * this.#depth;
     const way = along(along([0, 0, 0], side, right * high), cross(side, forward), up * high);
-    this.#pan = along(this.#pan, way);
     this.#pose = { position: along(position, way), forward };
+    const inSight = angle(forward, unit(minus(this.#pivot, this.#pose.position), forward)) < half;
+    if (!inSight) this.#pivot = along(this.#pivot, way);
   }
 
   #approach(nearer: number): void {
     const { position, forward } = this.#pose;
-    const offset = minus(position, this.#pivot);
     const full = length(minus(vector(this.#first.position), vector(this.#first.focus)));
-    const away = length(offset);
+    const away = this.#depth;
     const wanted = Math.max(NEAREST * full, Math.min(away * Math.exp(-nearer), FARTHEST * full));
-    this.#pose = { position: along(this.#pivot, offset, wanted / (away || 1)), forward };
+    this.#pose = { position: along(position, forward, away - wanted), forward };
   }
 
   #follow(): void {
-    if (!this.region || this.region.places.length < 2) return;
+    if (!this.region || this.#middle || this.#chosen) return;
     const place = placeOf(this.region, this.#pose);
     if (place === this.#place) return;
     if (!this.free && !this.#glide) this.#startGlide();
+    this.#pivot = along(this.#pivot, minus(place.focus, this.#place.focus));
     this.#place = place;
   }
 
@@ -308,7 +380,6 @@ export class Orbit {
     const way = minus(inside.position, position);
     const pose = { position: along(position, way, share), forward: between(forward, inside.forward, share) };
     this.#pose = far ? pose : inside;
-    this.#pan = along([0, 0, 0], this.#pan, Math.exp(-seconds / REST_S));
     return true;
   }
 }
@@ -334,18 +405,33 @@ export function placeOf(region: Region, pose: Pose): Place {
   return rated.reduce((a, b) => (b.away < a.away || (b.away === a.away && b.off < a.off) ? b : a)).place;
 }
 
-/** Where a viewer is who is pulled to `pose`: the same inside, held back outside; `strain` is 0 inside and below 1. */
-export function softened(region: Region, pose: Pose): Pose & { strain: number } {
+/** A direction from a place as it is from another one: the pivot is seen at the same place of the picture. */
+const aimed = (forward: Vector, from: Vector, to: Vector, pivot: Vector): Vector =>
+  length(minus(from, to)) === 0
+    ? forward
+    : unit(along(along(forward, unit(minus(pivot, to))), unit(minus(pivot, from)), -1), forward);
+
+function insideOf(region: Region, { position, forward }: Pose, pivot: Vector): Pose {
+  const at = keepInside(region, position, forward).position;
+  return keepInside(region, at, aimed(forward, position, at, pivot));
+}
+
+/** Where a viewer is who is pulled to `pose`: the same inside, held back outside, with the pivot where it was in the
+ * picture; `strain` is 0 inside and below 1.
+ */
+export function softened(region: Region, pose: Pose, pivot: Vector): Pose & { strain: number } {
   const place = placeOf(region, pose);
-  const inside = keepInside(region, pose.position, pose.forward);
+  const inside = insideOf(region, pose, pivot);
   const pull = minus(pose.position, inside.position);
   const out = length(pull);
   const give = GIVE_SHARE * length(minus(vector(place.focus), vector(place.position)));
-  const off = angle(inside.forward, pose.forward);
-  const strain = Math.max(rubber(out, give) / give, rubber(off, GIVE_ANGLE) / GIVE_ANGLE);
+  const position = out > 0 ? along(inside.position, pull, rubber(out, give) / out) : pose.position;
+  const forward = aimed(pose.forward, pose.position, position, pivot);
+  const allowed = out > 0 ? aimed(inside.forward, inside.position, position, pivot) : inside.forward;
+  const off = angle(allowed, forward);
   return {
-    position: out > 0 ? along(inside.position, pull, rubber(out, give) / out) : pose.position,
-    forward: off > 0 ? between(inside.forward, pose.forward, rubber(off, GIVE_ANGLE) / off) : pose.forward,
-    strain,
+    position,
+    forward: off > 0 ? between(allowed, forward, rubber(off, GIVE_ANGLE) / off) : forward,
+    strain: Math.max(rubber(out, give) / give, rubber(off, GIVE_ANGLE) / GIVE_ANGLE),
   };
 }

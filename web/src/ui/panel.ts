@@ -3,7 +3,7 @@ import type { RungInfo } from "../play/rungs.ts";
 import type { PlayerStats } from "../play/statistics.ts";
 import type { Desk } from "./desk.ts";
 import { iconButton, make, OTHERS, write } from "./dom.ts";
-import { decibels, ranked, rate, rungTitle, SOURCES, size, stripes } from "./words.ts";
+import { cost, decibels, ranked, rate, SOURCES, size, stripes } from "./words.ts";
 
 /** In words: how exactly this browser decodes (the player refuses to play where it does not). */
 const LUMA = { exact: "exact", invertible: "exact, by a table" } as const;
@@ -12,28 +12,32 @@ const BY = { display: "this screen drops frames", decoder: "decoding is too slow
 
 /** What is shown: its label, and its text; null: not at all. */
 const ROWS: readonly (readonly [string, (desk: Desk, stats: PlayerStats) => string | null])[] = [
-  ["Quality", ({ rungs }, { rung }) => nameOf(rungs[rung ?? -1])],
+  ["Frames", ({ still }) => (still ? "1 frame" : null)],
+  ["Quality", (desk, { rung }) => nameOf(desk, desk.rungs[rung ?? -1])],
   ["Held", ({ rungs }, { held }) => held && `at ${rungs[held.rung]?.name}: ${BY[held.by]}`],
   ["PSNR claimed", (_, { psnr }) => decibels(psnr)],
   ["Throughput", (_, { throughputBps }) => rate(throughputBps)],
-  ["Buffer", (_, { bufferS }) => `${bufferS.toFixed(1)} s`],
+  ["Buffer", (desk, { bufferS }) => moving(`${bufferS.toFixed(1)} s`, desk)],
   ["Received", (_, { bytes }) => size(bytes)],
   [
     "Frames shown",
-    (_, { framesShown, displayFps: fps }) => `${framesShown} (${fps.toFixed(fps < 10 ? 1 : 0)} pictures/s)`,
+    (desk, { framesShown, displayFps: fps }) =>
+      moving(`${framesShown} (${fps.toFixed(fps < 10 ? 1 : 0)} pictures/s)`, desk),
   ],
   [
     "Frames dropped",
-    (_, { framesShown, framesDropped: all, droppedByDecoder: some }) =>
-      `${shareOf(all, framesShown + all)}${some ? `, ${some} by the decoder` : ""}`,
+    (desk, { framesShown, framesDropped: all, droppedByDecoder: some }) =>
+      moving(`${shareOf(all, framesShown + all)}${some ? `, ${some} by the decoder` : ""}`, desk),
   ],
-  ["Stalls", (_, { stalls, stallS }) => (stalls ? `${stalls} (${stallS.toFixed(1)} s)` : "none")],
+  ["Stalls", (desk, { stalls, stallS }) => moving(stalls ? `${stalls} (${stallS.toFixed(1)} s)` : "none", desk)],
   ["Drawn at", ({ picture, scale }) => `${picture.join(" × ")}${scale < 1 ? ` (${Math.round(100 * scale)} %)` : ""}`],
   ["Decoding", (_, { luma }) => (luma ? LUMA[luma] : "–")],
   ["Region", ({ player: { region } }) => (region ? SOURCES[region.source] : "–")],
 ];
 
-const nameOf = (rung?: RungInfo) => (rung ? `${rate(1000 * rung.kbps)} · ${rung.name}` : "–");
+const nameOf = (desk: Desk, rung?: RungInfo) => (rung ? `${cost(desk, rung)} · ${rung.name}` : "–");
+/** A row of what time does, which a still has not. */
+const moving = (text: string, { still }: Desk) => (still ? null : text);
 const shareOf = (part: number, all: number) => `${part}${all ? ` (${((100 * part) / all).toFixed(1)} %)` : ""}`;
 
 export class Panel {
@@ -76,6 +80,7 @@ export class Panel {
       this.#cells[i].parentElement!.hidden = words === null;
       write(this.#cells[i], words ?? "");
     });
+    this.#history.node.hidden = this.#legend.hidden = this.desk.still;
     this.#history.draw();
     if (this.#rungs !== this.desk.rungs) this.#fillLegend();
   }
@@ -87,7 +92,7 @@ export class Panel {
     const rungs = ranked(all);
     const parts = rungs.map((rung, i) => ({ start: i, stop: i + 1, colour: colours[rung] }));
     const scale = make("i", { style: `background: ${stripes(parts, rungs.length)}` });
-    this.#legend.replaceChildren(rungTitle(all[rungs[0]]), scale, rungTitle(all[rungs.at(-1)!]));
+    this.#legend.replaceChildren("Smallest", scale, "Best");
   }
 }
 

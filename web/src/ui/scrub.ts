@@ -54,7 +54,7 @@ export class Scrub {
     const there = player.buffered.find((part) => part.start <= time && time < part.stop);
     const rung = there && this.desk.rungs[there.rung];
     this.#tip.style.setProperty("--tip", String(player.duration > 0 ? time / player.duration : 0));
-    write(this.#tip, clock(time, player.duration) + (rung ? ` · ${rungTitle(rung)}` : ""));
+    write(this.#tip, clock(time, player.duration) + (rung ? ` · ${rungTitle(this.desk, rung)}` : ""));
     if (this.timeline.dragged !== null) this.#drag(time, event.timeStamp);
   }
 

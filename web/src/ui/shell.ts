@@ -1,4 +1,5 @@
 // Everything that is on top of the picture, put together: it shows what the player says and hides when nobody needs it.
+import type { Region } from "../format/types.ts";
 import { Bar } from "./bar.ts";
 import type { Desk } from "./desk.ts";
 import { ICONS, icon, make, write } from "./dom.ts";
@@ -13,6 +14,7 @@ const MISSING = "This part of the player cannot be fetched now.";
 interface Parts {
   readonly menu: Menu;
   readonly panel: Panel;
+  readonly more: More;
 }
 
 export interface Looks {
@@ -67,11 +69,25 @@ export class Shell {
 
   update(): void {
     const { player } = this.desk;
-    const began = !player.paused || player.currentTime !== 0 || this.#parts?.panel.open;
+    const began = this.desk.still || !player.paused || player.currentTime !== 0 || this.#parts?.panel.open;
     this.frame.classList.toggle("fresh", !this.desk.ready || !began);
     this.bar.update();
     this.bar.info.ariaPressed = String(!!this.#parts?.panel.open);
     this.#parts?.panel.update();
+    this.#parts?.menu.update();
+  }
+
+  /** Show all keys, or hide them. */
+  toggleKeys(): void {
+    const card = this.frame.querySelector(".keys");
+    card?.remove();
+    if (card) this.scene.focus();
+    else
+      this.use(({ more }) => {
+        const made = more.keysCard(this.desk, () => this.toggleKeys());
+        this.frame.append(made);
+        made.focus();
+      });
   }
 
   /** Does something with the menu or the panel of figures, as soon as they are there. */
@@ -85,22 +101,26 @@ export class Shell {
   }
 
   #add(more: More): Parts {
-    const { Menu, Panel, STYLE, HELP } = more;
+    const { Menu, Panel, STYLE, helpOf } = more;
     const [menu, panel] = [new Menu(this.desk), new Panel(this.desk)];
     const on = { signal: this.desk.signal };
     this.frame.append(make("style", {}, STYLE));
     if (this.looks.controls) this.frame.append(panel.node, menu.node);
     panel.close.addEventListener("click", () => this.desk.toggleInfo(), on);
-    this.scene.addEventListener("pointerdown", () => menu.close(), on);
+    const leaveAll = () => {
+      menu.close();
+      this.frame.querySelector(".keys")?.remove();
+    };
+    this.scene.addEventListener("pointerdown", leaveAll, on);
     const leave = (event: KeyboardEvent) => {
       if (event.key !== "Escape") return;
       this.desk.toggleInfo();
       this.bar.info.focus();
     };
     panel.node.addEventListener("keydown", leave, on);
-    write(this.#help, HELP);
+    write(this.#help, helpOf(this.desk));
     this.added(more);
-    return { menu, panel };
+    return { menu, panel, more };
   }
 
   /** How far a viewer pulls at the wall, 0 … 1. */
@@ -126,10 +146,19 @@ export class Shell {
 
   #dress(url: string): void {
     this.#poster.replaceChildren();
-    this.#poster.style.background = `#000 url(${JSON.stringify(url)}) center / contain no-repeat`;
+    this.#poster.style.background = `#000 url(${JSON.stringify(url)}) center / auto min(100cqh, 100cqw * var(--tall, 1)) no-repeat`;
   }
 
-  showPicture(): void {
+  /** What the region of a package says of its poster, which is drawn at the height of the first picture. */
+  set region({ width, height, background }: Region) {
+    this.#poster.style.setProperty("--tall", String(Math.max(1, height / width)));
+    const tint = (background ?? [0, 0, 0]).map((share) => Math.round(255 * share)).join(" ");
+    if (this.#poster.style.background) this.#poster.style.backgroundColor = `rgb(${tint})`;
+  }
+
+  /** `begins`: the poster shows the same. */
+  showPicture(begins: boolean): void {
+    if (!begins) this.#poster.style.transition = "none";
     this.frame.classList.remove("broken");
     this.frame.querySelector(".card")?.remove();
     this.#poster.classList.add("gone");
@@ -170,7 +199,7 @@ export class Shell {
 
   #hide(): void {
     const busy = this.#parts?.menu.open || this.bar.timeline.scrubbing || this.bar.node.querySelector(":focus-visible");
-    if (this.desk.player.paused || busy) this.stir();
+    if ((this.desk.player.paused && !this.desk.still) || busy) this.stir();
     else this.frame.classList.add("idle");
   }
 

@@ -1,9 +1,10 @@
 // Two rungs beside each other: a second player on top of the first, of which only what is right of a seam is seen. It
 // plays one rung, from where the first one looks, and follows its time.
 import type { Problem } from "../play/playback.ts";
+import type { RungInfo } from "../play/rungs.ts";
 import type { Desk, PlayerLike } from "./desk.ts";
 import { make, write } from "./dom.ts";
-import { rungTitle } from "./words.ts";
+import { rungFigures, rungTitle } from "./words.ts";
 
 /** The two are at most so far apart, frames; to catch up, the second is so many times as fast. */
 const APART = 0.5;
@@ -96,9 +97,11 @@ export class Split {
     if (second.loop !== first.loop) second.loop = first.loop;
     this.#keepTime();
     const { rungs, rung } = first;
+    const told = (one: RungInfo) =>
+      [rungTitle(this.desk, one), rungFigures(this.desk, one)].filter(Boolean).join(" · ");
     const own = rungs.find(({ name }) => name === this.rung);
-    write(this.#left, rung === null ? "" : rungTitle(rungs[rung]));
-    write(this.#right, own ? rungTitle(own) : this.rung);
+    write(this.#left, rung === null ? "" : told(rungs[rung]));
+    write(this.#right, own ? told(own) : this.rung);
   }
 
   /** Of the two, the second one waits for the first, and catches up with it. */

@@ -7,7 +7,8 @@ import { Orbit } from "./orbit.ts";
 import { pictureSize, type Sharpness } from "./sharpness.ts";
 import { type FullScreen, type Looks, loadMore, type More, Shell } from "./shell.ts";
 import type { Split } from "./split.ts";
-import { rungColours } from "./words.ts";
+import type { Subject } from "./subject.ts";
+import { ranked, rungColours } from "./words.ts";
 
 const UPDATE_MS = 250;
 /** The figures of rungs change as tables come, and a player takes long to sum them up. */
@@ -92,6 +93,19 @@ export class View {
     return !!this.#full?.on;
   }
 
+  get still(): boolean {
+    const { live, duration, fps } = this.player;
+    return !live && Math.round(duration * fps) === 1;
+  }
+
+  get split(): boolean {
+    return !!this.#split;
+  }
+
+  get comparable(): boolean {
+    return this.rungs.filter(({ onLadder }) => onLadder).length > 1;
+  }
+
   get scale(): number {
     return this.#sharpness?.scale ?? 1;
   }
@@ -108,7 +122,7 @@ export class View {
   }
 
   toggle(): void {
-    if (!this.ready) return;
+    if (!this.ready || this.still) return;
     if (this.player.ended) this.player.seek(0);
     if (this.player.paused || this.player.ended) this.player.play();
     else this.player.pause();
@@ -146,6 +160,46 @@ export class View {
   turnOver(): void {
     this.orbit.turnOver();
     this.#look();
+  }
+
+  showSubject(): void {
+    const { width, height } = this.#area;
+    const subject = this.#subject();
+    if (subject) this.orbit.show(subject, width / height);
+    this.wake();
+  }
+
+  #subject(): Subject | null {
+    const drawn = this.#more && this.player.drawn();
+    return drawn ? this.#more!.subjectAt(drawn, this.orbit.pivot) : null;
+  }
+
+  /** Turn about what is in the middle of the subject, as soon as that is seen. */
+  #aim(): void {
+    const subject = this.#subject();
+    if (subject) this.orbit.aim(subject);
+  }
+
+  /** Look at what is under a pointer; beside the subject, go back. */
+  #lookAt({ clientX, clientY }: PointerEvent): void {
+    const { left, top, width, height } = this.#shell.canvas.getBoundingClientRect();
+    const drawn = this.player.drawn();
+    const point = drawn && this.#more!.pointAt(drawn, (clientX - left) / width, (clientY - top) / height);
+    if (point) this.orbit.lookAt(point);
+    else this.home();
+    this.wake();
+  }
+
+  toggleSplit(): void {
+    const smallest = ranked(this.rungs).find((rung) => this.rungs[rung].onLadder);
+    this.#split?.close();
+    if (this.#split || smallest === undefined) this.#split = null;
+    else this.#shell.use(() => this.#beside(this.rungs[smallest].name));
+    this.wake();
+  }
+
+  toggleKeys(): void {
+    this.#shell.toggleKeys();
   }
 
   get linked(): boolean {
@@ -205,6 +259,7 @@ export class View {
     if (free !== undefined) this.orbit.setFree(free);
     try {
       Object.assign(this.player, settings);
+      if (settings.quality && this.still) this.player.seek(0); // nothing else would show it
     } catch (error) {
       this.#say("setting", error instanceof Error ? error.message : String(error));
     }
@@ -236,6 +291,7 @@ export class View {
     if (this.signal.aborted) return;
     this.ready = true;
     this.orbit = new Orbit(player.region);
+    if (player.region) this.#shell.region = player.region;
     this.orbit.free = owner.viewRegion === "free";
     try {
       if (path) this.orbit.follow(await path);
@@ -248,17 +304,19 @@ export class View {
     else this.#look();
     this.orbit.reduced = this.#still.matches;
     if (player.region?.source === "orbit") this.#say("guess", GUESSED);
-    if (owner.split) this.#shell.use(() => this.#beside());
-    if (owner.autoplay) await player.play();
+    if (owner.split) this.#shell.use(() => this.#beside(owner.split));
+    if (owner.autoplay && !this.still) await player.play();
     this.#shell.update();
     this.wake();
   }
 
-  #beside(): void {
+  #beside(split: string): void {
     const { owner } = this;
+    const { src } = owner;
     const create = (canvas: HTMLCanvasElement) => owner.create(canvas, { ...owner.settings, muted: true });
     const failed = (why: string) => this.#say("split", why);
-    this.#split = this.#more!.Split.beside(this, this.#shell.frame, owner, create, failed);
+    this.#split = this.#more!.Split.beside(this, this.#shell.frame, { split, src }, create, failed);
+    this.wake();
   }
 
   #say(name: string, text: string): void {
@@ -292,7 +350,7 @@ export class View {
     this.#request = 0;
     const { player, orbit } = this;
     const interval = this.#last ? now - this.#last : 0;
-    const plays = this.ready && !player.paused && !player.ended;
+    const plays = this.ready && !player.paused && !player.ended && !this.still;
     const seconds = Math.min(interval / 1000, LONGEST_S);
     const moved = orbit.step(seconds, plays && !this.#shell.waiting ? player.speed * seconds : 0);
     if (moved || orbit.held) this.#look();
@@ -300,7 +358,7 @@ export class View {
     this.#sharpness?.tick(now, { goesOn, moved, plays: plays && !this.#shell.waiting }, player);
     if (!goesOn || now - this.#updated > UPDATE_MS) {
       this.#updated = now;
-      if (now - this.#listed > LIST_MS) this.#list(now);
+      if (now - this.#listed > LIST_MS || this.rungs.some(({ kbps }) => !kbps)) this.#list(now);
       this.#shell.update();
     } else {
       this.#shell.bar.updateTime();
@@ -348,20 +406,21 @@ export class View {
       {
         moved: () => this.wake(),
         tap: (event) => this.#tap(event),
-        doubleTap: () => {
+        doubleTap: (event) => {
           window.clearTimeout(this.#click);
-          this.home();
+          this.#lookAt(event);
         },
       },
       () => this.full || host.hasAttribute("capture"),
       signal,
     );
+    this.#aim();
   }
 
   #hear(name: string, detail: unknown): void {
     const { notes } = this.#shell;
     if (name === "poster" && detail instanceof Blob) this.#shell.showPoster(detail);
-    else if (name === "firstpicture") this.#shell.showPicture();
+    else if (name === "firstpicture") this.#shell.showPicture(!this.#began && !this.owner.path);
     else if (name === "stall" || name === "resume") this.#shell.waiting = name === "stall";
     else if (name === "progress") notes.hide("network", READ_MS);
     else if (name === "lost") notes.show("lost", LOST);

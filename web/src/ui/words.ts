@@ -42,15 +42,36 @@ export const rate = (bps: number): string => (bps > 0 ? short(bps, "bit/s") : "�
 export const size = (bytes: number): string => short(bytes, "B");
 export const decibels = (psnr: number | null): string => (psnr === null ? "–" : `${psnr.toFixed(1)} dB`);
 
-/** Names a rung by its quality, else by its name in the package. */
-export const rungTitle = (rung: RungInfo): string => (rung.psnr === null ? rung.name : decibels(rung.psnr));
+/** What a rung costs: bytes of a still, else a rate; "": not known yet. */
+export function cost({ player, still }: Desk, { kbps }: RungInfo): string {
+  if (!(kbps > 0)) return "";
+  return still ? size(125 * kbps * player.duration) : rate(1000 * kbps);
+}
+
+/** Names a rung by its place among those that are worth their bytes; another one by what it costs. */
+export function rungTitle(desk: Desk, rung: RungInfo): string {
+  const { rungs } = desk;
+  const order = ranked(rungs).filter((one) => rungs[one].onLadder);
+  const [place, best] = [order.indexOf(rungs.indexOf(rung)), order.length - 1];
+  if (place < 0) return cost(desk, rung) || rung.name;
+  if (place === 0 || place === best) return place ? "Best" : best ? "Smallest" : "Best";
+  return 2 * place > best ? "Good" : "Small";
+}
+
+/** The figures of a rung that its title does not have. */
+export const rungFigures = (desk: Desk, rung: RungInfo): string =>
+  [rung.onLadder ? cost(desk, rung) : "", rung.psnr === null ? "" : decibels(rung.psnr)].filter(Boolean).join(" · ");
 
 export const speedName = (speed: number): string => (speed === 1 ? "Normal" : `${speed}×`);
 
-/** The quality that is chosen, for buttons: "Auto", or what the rung looks like. */
+/** The rung that is chosen; undefined: "Auto". */
+export const chosenRung = ({ rungs, player }: Desk): RungInfo | undefined =>
+  rungs.find(({ name }) => name === player.quality);
+
+/** The quality that is chosen, for buttons. */
 export function qualityName(desk: Desk): string {
-  const rung = desk.rungs.find((one) => one.name === desk.player.quality);
-  return rung ? rungTitle(rung) : "Auto";
+  const rung = chosenRung(desk);
+  return rung ? rungTitle(desk, rung) : "Auto";
 }
 
 export const POLICIES: ReadonlyMap<string, string> = new Map<(typeof POLICY_NAMES)[number], string>([
@@ -86,10 +107,10 @@ export function rampColour(share: number): string {
   return `rgb(${mixed.join(" ")})`;
 }
 
-/** Numbers of rungs from the worst to the best: by what they claim, where nobody knows by what they cost. */
+/** Numbers of rungs from the worst to the best: by what they claim, else by what they cost, else the first is best. */
 export function ranked(rungs: readonly RungInfo[]): number[] {
   const worth = (rung: number) => rungs[rung].psnr ?? 0;
-  return rungs.map((_, i) => i).sort((a, b) => worth(a) - worth(b) || rungs[a].kbps - rungs[b].kbps);
+  return rungs.map((_, i) => i).sort((a, b) => worth(a) - worth(b) || rungs[a].kbps - rungs[b].kbps || b - a);
 }
 
 export function rungColours(rungs: readonly RungInfo[]): string[] {

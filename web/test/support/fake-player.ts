@@ -125,6 +125,10 @@ export class FakePlayer extends EventTarget implements PlayerLike {
     this.calls.push("leaveVr");
   }
 
+  drawn(): null {
+    return null;
+  }
+
   close(): void {
     this.closed = true;
     cancelAnimationFrame(this.#request);

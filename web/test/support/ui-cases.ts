@@ -324,6 +324,10 @@ export const cases: Record<string, () => Promise<object>> = {
     seen.panel = shown(find(node, ".panel"));
     await press("5");
     seen.after = player(node).calls.length;
+    await press("?");
+    seen.card = find(node, "[role=dialog]").innerText;
+    await press("?");
+    seen.left = find(node, "[role=dialog]") === null;
     return seen;
   },
 
@@ -437,11 +441,25 @@ export const cases: Record<string, () => Promise<object>> = {
     const named = controls.filter(shown).map((one) => [one.role ?? one.localName, one.ariaLabel]);
     const order: (string | null | undefined)[] = [];
     node.focus();
-    for (let i = 0; i < 12; i++) {
+    for (let i = 0; i < 16; i++) {
       order.push(inside(node).activeElement?.ariaLabel);
       await press("Tab");
     }
-    return { named, order, live: find(node, ".notes").ariaLive };
+    const up = player(node).camera.up[1];
+    await click(button(node, "Turn over"));
+    await click(button(node, "Compare"));
+    await until(() => !!find(node, ".seam:not([hidden])"));
+    const second = players[1].quality;
+    await click(button(node, "Compare"));
+    const { camera } = player(node);
+    return {
+      named,
+      order,
+      live: find(node, ".notes").ariaLive,
+      ups: [up, camera.up[1]],
+      second,
+      split: find(node, ".seam"),
+    };
   },
 
   async trouble() {

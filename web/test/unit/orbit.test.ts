@@ -39,10 +39,11 @@ test("it starts at the first place, with the lens of the region and a direction 
   assert.deepEqual(view, { position: [0, 0, -4], forward: [0, 0, 1], up: [0, -1, 0], fovY: 40, near: 0.1 });
 });
 
-test("a picture that is narrower than those of the region shows as much to the sides", () => {
+test("a picture is as high as those of the region, and where it is narrower than high, as wide as they are high", () => {
   const wide = (fov: number, aspect: number) => Math.tan((fov * Math.PI) / 360) * aspect;
   const orbit = new Orbit(REGION);
-  assert.ok(Math.abs(wide(orbit.view(1.2).fovY, 1.2) - wide(40, ASPECT)) < 1e-9);
+  assert.equal(orbit.view(1.2).fovY, 40);
+  assert.ok(Math.abs(wide(orbit.view(0.5).fovY, 0.5) - wide(40, 1)) < 1e-9);
   assert.equal(orbit.view(3).fovY, 40);
   assert.ok(orbit.view(0.2).fovY <= 100);
 });
@@ -175,13 +176,13 @@ test("a region without reach still gives way, and a viewer at the focus may look
   assert.ok(out > 0.1 && out < 0.6);
   const there: Region = { ...REGION, places: [{ ...REGION.places[0], reach: 9 }] };
   const pose = { position: [0, 0, 0], forward: [1, 0, 0] } as const;
-  assert.deepEqual(softened(there, pose), { ...pose, strain: 0 });
+  assert.deepEqual(softened(there, pose, [0, 0, 0]), { ...pose, strain: 0 });
 });
 
 test("inside, the wall does nothing; outside, pulled and held back point the same way", () => {
   const pose = { position: [0.3, 0.2, -4.1], forward: unit([0, 0.02, 1]) } as const;
-  assert.deepEqual(softened(REGION, pose), { ...pose, strain: 0 });
-  const far = softened(REGION, { position: [0, -9, -4], forward: [0, 0, 1] });
+  assert.deepEqual(softened(REGION, pose, [0, 0, 0]), { ...pose, strain: 0 });
+  const far = softened(REGION, { position: [0, -9, -4], forward: [0, 0, 1] }, [0, 0, 0]);
   assert.ok(far.position[1] < -1 && far.position[1] > -1.6 && far.position[0] === 0);
   assert.ok(far.strain > 0.9 && far.strain < 1);
   assert.equal(rubber(0, 1), 0);

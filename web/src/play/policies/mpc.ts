@@ -183,10 +183,12 @@ export const ROBUST_MPC: Policy = {
   horizon: HORIZON_SEGMENTS,
 };
 
-/** Name of the policy that plays what is wished for; "auto" is the best rung where no quality was measured to weigh. */
-export function wishedPolicy(wishes: { quality: string; policy: string }, { measured }: Offers): string {
+/** Name of the policy that plays what is wished for; "auto" is the best rung of a still, and where no quality was
+ * measured to weigh.
+ */
+export function wishedPolicy(wishes: { quality: string; policy: string }, { measured, still }: Offers): string {
   if (wishes.quality !== "auto") return `fixed:${wishes.quality}`;
-  return measured ? wishes.policy : "fixed:0";
+  return measured && !still ? wishes.policy : "fixed:0";
 }
 
 /** fixed:J (level J, finest keyframes) or fixed:RUNG, in the finest level offered. Throws ConfigError for other names. */
