@@ -183,11 +183,6 @@ export class Offers {
     return this.tables.root.live;
   }
 
-  /** Whether there is one frame, and will be no other. */
-  get still(): boolean {
-    return this.tables.root.frames === 1 && !this.live;
-  }
-
   get durationS(): number {
     return this.tables.root.frames / this.fps;
   }

@@ -43,7 +43,6 @@ export class Screen {
   #view: ViewState | null = null;
   #size = { width: 1, height: 1 };
   #dirty = false;
-  #drawn: { scene: Scene; camera: Camera } | null = null;
   #made = 0;
   readonly #end = new AbortController();
 
@@ -111,15 +110,15 @@ export class Screen {
     if (!this.#dirty || !this.#shown || !this.#view || !this.#renderer || this.#renderer.busy) return false;
     const { width, height } = this.#size;
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
-    const [{ scene }, camera] = [this.#shown, cameraOf(this.#view, width, height)];
-    this.#dirty = !this.#renderer.draw(scene, camera);
-    if (!this.#dirty) this.#drawn = { scene, camera };
+    this.#dirty = !this.#renderer.draw(this.#shown.scene, cameraOf(this.#view, width, height));
     return !this.#dirty;
   }
 
   /** What the last picture shows of each Gaussian; null: there is none. */
   read(): Drawn | null {
-    return (this.#drawn && this.#renderer?.read(this.#drawn.scene, this.#drawn.camera)) ?? null;
+    const { width, height } = this.canvas;
+    if (!this.#shown || !this.#view) return null;
+    return this.#renderer?.read(this.#shown.scene, cameraOf(this.#view, width, height)) ?? null;
   }
 
   /** Draw for eyes around the view, whatever has changed: a headset forgets its pictures. True: they were drawn. */

@@ -45,40 +45,24 @@ const COMMANDS: Readonly<Record<string, (desk: Desk) => void>> = {
 };
 
 /** All of them in words; those of TIMED do nothing to a still. */
-const LOOKING = [
-  ["Arrow keys, drag", "turn"],
-  ["W A S D, right button", "move"],
-  ["+ −, wheel, pinch", "zoom"],
-  ["F", "show all of the subject"],
-  ["Double click", "turn about what is there"],
-  ["R", "back to where you began"],
-  ["B", "begin here"],
-  ["Home", "back to the first view"],
-  ["O", "turn over"],
-  ["C", "copy a link"],
-  ["I", "figures"],
-  ["Enter", "full screen"],
-  ["?", "these keys"],
-] as const;
-const TIMED = [
-  ["Space, K", "play, pause"],
-  ["J L", "five seconds back, on"],
-  [", .", "one frame back, on"],
-  ["M", "mute"],
-] as const;
-
-const rowsOf = ({ still }: Pick<Desk, "still">) => [...(still ? [] : TIMED), ...LOOKING];
+const LOOKING =
+  "Arrow keys, drag: turn; W A S D, right button: move; + −, wheel, pinch: zoom; F: show all of the subject; " +
+  "Double click: turn about what is there; R: back to where you began; B: begin here; Home: back to the first view; " +
+  "O: turn over; C: copy a link; I: figures; Enter: full screen; ?: these keys";
+const TIMED = "Space, K: play, pause; J L: five seconds back, on; , .: one frame back, on; M: mute; ";
 
 /** For a help text: what people who cannot see buttons want to know. */
-export const helpOf = (desk: Desk): string =>
-  rowsOf(desk)
-    .map((row) => row.join(": "))
-    .join("; ");
+export const helpOf = ({ still }: Desk): string => (still ? "" : TIMED) + LOOKING;
 
 /** A card with all keys; `leave` is called when people are done with it. */
 export function keysCard(desk: Desk, leave: () => void): HTMLElement {
   const close = iconButton(OTHERS.close, "Close");
-  const rows = rowsOf(desk).map(([key, what]) => make("div", {}, make("dt", {}, key), make("dd", {}, what)));
+  const rows = helpOf(desk)
+    .split("; ")
+    .map((row) => {
+      const [key, what] = row.split(": ");
+      return make("div", {}, make("dt", {}, key), make("dd", {}, what));
+    });
   const attributes = { class: "card keys", role: "dialog", "aria-label": "Keys", tabindex: -1 };
   const card = make("section", attributes, make("div", { class: "head" }, "Keys", close), make("dl", {}, ...rows));
   close.addEventListener("click", leave);

@@ -4,7 +4,7 @@ import { icon, make, OTHERS } from "./dom.ts";
 import { POLICIES, qualityName, rungFigures, rungTitle, speedName } from "./words.ts";
 
 const SPEEDS = [0.25, 0.5, 0.75, 1, 1.25, 1.5, 2] as const;
-export type Page = "settings" | "quality" | "others" | "speed" | "policy";
+export type Page = "settings" | "quality" | "speed" | "policy";
 
 interface Item {
   label: string;
@@ -61,7 +61,7 @@ export class Menu {
   /** The figures of rungs have come: say them where people look. */
   update(): void {
     const { rungs } = this.desk;
-    if (this.#told !== rungs && (this.#page === "quality" || this.#page === "others")) this.#show(this.#page);
+    if (this.#told !== rungs && this.#page === "quality") this.#show(this.#page);
   }
 
   #show(page: Page): void {
@@ -85,13 +85,12 @@ export class Menu {
   }
 
   #above(page: Page): Page | null {
-    if (page === "policy" || page === "others") return "quality";
+    if (page === "policy") return "quality";
     return this.#first === "settings" && page !== "settings" ? "settings" : null;
   }
 
   #content(page: Page): { title: string; items: Item[] } {
     if (page === "quality") return { title: "Quality", items: this.#qualities() };
-    if (page === "others") return { title: "For these, others give more at no more bytes", items: this.#rungs(false) };
     if (page === "policy") return { title: "How “Auto” chooses", items: this.#policies() };
     if (page === "speed") return { title: "Speed", items: this.#speeds() };
     return { title: "Settings", items: this.#settings() };
@@ -135,19 +134,18 @@ export class Menu {
     const note = auto && shown ? `now ${rungTitle(this.desk, shown)}` : "";
     return [
       { label: "Auto", note, checked: auto, run: this.#pick("auto") },
-      ...this.#rungs(true),
-      ...(rungs.every((rung) => rung.onLadder) ? [] : [{ label: "Others", run: () => this.#show("others") }]),
+      ...this.#rungs(),
       ...(this.desk.still ? [] : [{ label: "How “Auto” chooses", run: () => this.#show("policy") }]),
     ];
   }
 
-  /** Those that are worth their bytes, or the others; from the best to the worst. */
-  #rungs(onLadder: boolean): Item[] {
+  /** Those that are worth their bytes, from the best to the worst. */
+  #rungs(): Item[] {
     const { player, rungs, colours } = this.desk;
     const numbered = rungs.map((rung, number) => ({ rung, colour: colours[number] ?? "" }));
     numbered.sort((a, b) => b.rung.kbps - a.rung.kbps); // those that are not known yet stay: the first is the best
     return numbered
-      .filter(({ rung }) => rung.onLadder === onLadder)
+      .filter(({ rung }) => rung.onLadder)
       .map(({ rung, colour }) => ({
         label: rungTitle(this.desk, rung),
         note: rungFigures(this.desk, rung),

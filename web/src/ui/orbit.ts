@@ -59,23 +59,18 @@ const NEAR = 0.01;
 
 const aheadOf = ({ position, focus }: Place): Vector => unit(minus(focus, position));
 
-/** The middle of what all places of a region look at, and how far they look past it, radians; null: there is none. */
-function middleOf({ places }: Region): { middle: Vector; aside: number } | null {
-  const middle = scaled(
-    places.reduce<Vector>((sum, { focus }) => along(sum, focus), [0, 0, 0]),
-    1 / places.length,
-  );
+/** The middle of what all places of a region look at, and that region with the middle in place of what each looks at,
+ * where viewers look as far aside as before; null: places look at different things.
+ */
+function middleOf(region: Region): { middle: Vector; walls: Region } | null {
+  const { places, turn } = region;
+  const middle = places.reduce<Vector>((sum, { focus }) => along(sum, focus, 1 / places.length), [0, 0, 0]);
   const aside = Math.max(...places.map((place) => angle(aheadOf(place), unit(minus(middle, place.position)))));
-  return aside < ASIDE ? { middle, aside } : null;
+  const walls = places.map((place) => ({ ...place, focus: [...middle] }));
+  return aside < ASIDE ? { middle, walls: { ...region, turn: turn + (aside * 180) / Math.PI, places: walls } } : null;
 }
 
-/** The same region, from all of whose places viewers look at the middle, and as far aside as before. */
-function lookingAt(region: Region, { middle, aside }: { middle: Vector; aside: number }): Region {
-  const places = region.places.map((place) => ({ ...place, focus: [...middle] }));
-  return { ...region, turn: region.turn + (aside * 180) / Math.PI, places };
-}
-
-/** A camera about the subject: the middle of what all places of a region look at, else what the nearest one does. */
+/** A camera about a pivot: the middle of what all places of a region look at, else what the first one does. */
 export class Orbit {
   /** Whether viewers may leave the region. */
   free = false;
@@ -84,19 +79,18 @@ export class Orbit {
   reduced = false;
   /** How far the viewer is pulled out of the region, 0 … 1. */
   strain = 0;
-  #place: Place = NOWHERE;
-  #middle: Vector | null;
   /** The region as its wall is for viewers who look at its middle. */
   readonly #walls: Region | null;
   #pose: Pose = { position: [0, 0, -4], forward: [0, 0, 1] };
   #up: Vector = vector(NOWHERE.up);
   readonly #first: Place;
+  /** The first view, with a focus beside the middle of the subject. */
+  readonly #opening: Stance;
   /** What the region says is up, and where viewers begin. */
   readonly #upright: Vector;
   #start: Stance;
-  /** What it turns about; viewers may choose it. */
-  #pivot: Vector = [0, 0, 0];
-  #chosen = false;
+  /** What it turns about: what is seen stays as it is where that changes. */
+  pivot: Vector = [0, 0, 0];
   readonly #speed: Required<Push> = { right: 0, up: 0, panRight: 0, panUp: 0, nearer: 0 };
   #drive: Push = {};
   #glide: { from: Pose; left: number } | null = null;
@@ -107,9 +101,11 @@ export class Orbit {
   constructor(readonly region: Region | null = null) {
     this.#first = region ? region.places[0]! : NOWHERE;
     this.#upright = region ? upright(region) : vector(NOWHERE.up);
-    const seen = region && middleOf(region);
-    this.#middle = seen ? seen.middle : null;
-    this.#walls = seen ? lookingAt(region, seen) : region;
+    const found = region && middleOf(region);
+    this.#walls = found?.walls ?? region;
+    const [position, ahead] = [vector(this.#first.position), aheadOf(this.#first)];
+    const depth = found ? dot(minus(found.middle, position), ahead) : 0;
+    this.#opening = { position, focus: depth > 0 ? along(position, ahead, depth) : vector(this.#first.focus) };
     this.#start = this.#opening;
     this.#stand(this.#start);
   }
@@ -124,18 +120,6 @@ export class Orbit {
   begin(stance: Stance | null): void {
     this.#start = stance ?? this.#opening;
     this.reset();
-  }
-
-  /** The first view, with a focus beside the middle of the subject. */
-  get #opening(): Stance {
-    const [position, ahead] = [vector(this.#first.position), aheadOf(this.#first)];
-    const depth = this.#middle ? dot(minus(this.#middle, position), ahead) : 0;
-    return { position, focus: depth > 0 ? along(position, ahead, depth) : vector(this.#first.focus) };
-  }
-
-  /** From now on it turns about the middle of a subject; what is seen stays as it is. */
-  aim({ middle }: Subject): void {
-    if (!this.#chosen) this.#pivot = middle;
   }
 
   /** Look at a point, and turn about it. */
@@ -153,12 +137,8 @@ export class Orbit {
   #take(pivot: Vector, position: Vector, forward: Vector): void {
     this.stop();
     this.#startGlide();
-    [this.#pivot, this.#pose, this.#chosen] = [pivot, { position, forward }, true];
-  }
-
-  /** What a subject is looked for about. */
-  get pivot(): Vector {
-    return this.#pivot;
+    this.pivot = pivot;
+    this.#pose = { position, forward };
   }
 
   /** Go along a path that is read, given what is up and a field of view, until somebody takes the camera. */
@@ -190,8 +170,7 @@ export class Orbit {
   #stand(stance: Stance): void {
     const { position, focus, up } = stance;
     this.#pose = { position, forward: unit(minus(focus, position)) };
-    this.#place = this.region ? placeOf(this.region, this.#pose) : NOWHERE;
-    [this.#pivot, this.#chosen] = [focus, false];
+    this.pivot = focus;
     this.#up = up ?? this.#upright;
     this.#lens = null;
     this.#halt();
@@ -216,9 +195,9 @@ export class Orbit {
   #departure(): { inside: Pose; out: number; off: number; far: boolean } | null {
     if (!this.#walls) return null;
     const { position, forward } = this.#pose;
-    const inside = insideOf(this.#walls, this.#pose, this.#pivot);
+    const inside = insideOf(this.#walls, this.#pose, this.pivot);
     const [out, off] = [length(minus(position, inside.position)), angle(forward, inside.forward)];
-    return { inside, out, off, far: out > STILL * length(minus(inside.position, this.#pivot)) || off > STILL };
+    return { inside, out, off, far: out > STILL * length(minus(inside.position, this.pivot)) || off > STILL };
   }
 
   stop(): void {
@@ -234,7 +213,6 @@ export class Orbit {
     if (push.right || push.up) this.#turn(push.right ?? 0, push.up ?? 0);
     if (push.panRight || push.panUp) this.#shift(push.panRight ?? 0, push.panUp ?? 0);
     if (push.nearer) this.#approach(push.nearer);
-    this.#follow();
   }
 
   nudge(push: Push): void {
@@ -281,20 +259,20 @@ export class Orbit {
 
   pose(): Pose {
     const walls = this.free ? null : this.#walls;
-    const pose = walls ? softened(walls, this.#pose, this.#pivot) : { ...this.#pose, strain: 0 };
+    const pose = walls ? softened(walls, this.#pose, this.pivot) : { ...this.#pose, strain: 0 };
     this.strain = pose.strain;
     if (!this.#glide) return pose;
     const { from, left } = this.#glide;
     const share = left * left * (3 - 2 * left);
-    const [here, there] = [pose.position, from.position].map((point) => minus(point, this.#pivot)) as [Vector, Vector];
+    const [here, there] = [pose.position, from.position].map((point) => minus(point, this.pivot)) as [Vector, Vector];
     const size = length(here) + share * (length(there) - length(here));
-    const position = along(this.#pivot, between(unit(here), unit(there), share), size);
+    const position = along(this.pivot, between(unit(here), unit(there), share), size);
     return { position, forward: between(pose.forward, from.forward, share) };
   }
 
   /** How far ahead the pivot is: beside the viewer, as if it were in front of him. */
   get #depth(): number {
-    const way = minus(this.#pivot, this.#pose.position);
+    const way = minus(this.pivot, this.#pose.position);
     const depth = dot(way, this.#pose.forward);
     return depth > 0 ? depth : length(way);
   }
@@ -318,7 +296,7 @@ export class Orbit {
 
   #turn(right: number, up: number): void {
     const { position, forward } = this.#pose;
-    const pivot = this.#pivot;
+    const pivot = this.pivot;
     const tilt = Math.asin(Math.max(-1, Math.min(1, dot(forward, this.#up))));
     const wanted = tilt - up;
     const rise = up > 0 ? Math.max(wanted, Math.min(tilt, -STEEPEST)) : Math.min(wanted, Math.max(tilt, STEEPEST));
@@ -334,8 +312,8 @@ export class Orbit {
     const high = 2 * Math.tan(half) * this.#depth;
     const way = along(along([0, 0, 0], side, right * high), cross(side, forward), up * high);
     this.#pose = { position: along(position, way), forward };
-    const inSight = angle(forward, unit(minus(this.#pivot, this.#pose.position), forward)) < half;
-    if (!inSight) this.#pivot = along(this.#pivot, way);
+    const inSight = angle(forward, unit(minus(this.pivot, this.#pose.position), forward)) < half;
+    if (!inSight) this.pivot = along(this.pivot, way);
   }
 
   #approach(nearer: number): void {
@@ -344,15 +322,6 @@ export class Orbit {
     const away = this.#depth;
     const wanted = Math.max(NEAREST * full, Math.min(away * Math.exp(-nearer), FARTHEST * full));
     this.#pose = { position: along(position, forward, away - wanted), forward };
-  }
-
-  #follow(): void {
-    if (!this.region || this.#middle || this.#chosen) return;
-    const place = placeOf(this.region, this.#pose);
-    if (place === this.#place) return;
-    if (!this.free && !this.#glide) this.#startGlide();
-    this.#pivot = along(this.#pivot, minus(place.focus, this.#place.focus));
-    this.#place = place;
   }
 
   #advance(seconds: number): boolean {

@@ -17,27 +17,27 @@ const ROWS: readonly (readonly [string, (desk: Desk, stats: PlayerStats) => stri
   ["Held", ({ rungs }, { held }) => held && `at ${rungs[held.rung]?.name}: ${BY[held.by]}`],
   ["PSNR claimed", (_, { psnr }) => decibels(psnr)],
   ["Throughput", (_, { throughputBps }) => rate(throughputBps)],
-  ["Buffer", (desk, { bufferS }) => moving(`${bufferS.toFixed(1)} s`, desk)],
+  ["Buffer", (_, { bufferS }) => `${bufferS.toFixed(1)} s`],
   ["Received", (_, { bytes }) => size(bytes)],
   [
     "Frames shown",
-    (desk, { framesShown, displayFps: fps }) =>
-      moving(`${framesShown} (${fps.toFixed(fps < 10 ? 1 : 0)} pictures/s)`, desk),
+    (_, { framesShown, displayFps: fps }) => `${framesShown} (${fps.toFixed(fps < 10 ? 1 : 0)} pictures/s)`,
   ],
   [
     "Frames dropped",
-    (desk, { framesShown, framesDropped: all, droppedByDecoder: some }) =>
-      moving(`${shareOf(all, framesShown + all)}${some ? `, ${some} by the decoder` : ""}`, desk),
+    (_, { framesShown, framesDropped: all, droppedByDecoder: some }) =>
+      `${shareOf(all, framesShown + all)}${some ? `, ${some} by the decoder` : ""}`,
   ],
-  ["Stalls", (desk, { stalls, stallS }) => moving(stalls ? `${stalls} (${stallS.toFixed(1)} s)` : "none", desk)],
+  ["Stalls", (_, { stalls, stallS }) => (stalls ? `${stalls} (${stallS.toFixed(1)} s)` : "none")],
   ["Drawn at", ({ picture, scale }) => `${picture.join(" × ")}${scale < 1 ? ` (${Math.round(100 * scale)} %)` : ""}`],
   ["Decoding", (_, { luma }) => (luma ? LUMA[luma] : "–")],
   ["Region", ({ player: { region } }) => (region ? SOURCES[region.source] : "–")],
 ];
 
+/** What time does, which a still has not. */
+const TIMED = ["Throughput", "Buffer", "Frames shown", "Frames dropped", "Stalls"];
+
 const nameOf = (desk: Desk, rung?: RungInfo) => (rung ? `${cost(desk, rung)} · ${rung.name}` : "–");
-/** A row of what time does, which a still has not. */
-const moving = (text: string, { still }: Desk) => (still ? null : text);
 const shareOf = (part: number, all: number) => `${part}${all ? ` (${((100 * part) / all).toFixed(1)} %)` : ""}`;
 
 export class Panel {
@@ -75,8 +75,8 @@ export class Panel {
     this.#history.sample();
     if (!this.open) return;
     const { stats } = this.desk.player;
-    ROWS.forEach(([, text], i) => {
-      const words = text(this.desk, stats);
+    ROWS.forEach(([label, text], i) => {
+      const words = this.desk.still && TIMED.includes(label) ? null : text(this.desk, stats);
       this.#cells[i].parentElement!.hidden = words === null;
       write(this.#cells[i], words ?? "");
     });

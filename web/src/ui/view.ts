@@ -174,12 +174,6 @@ export class View {
     return drawn ? this.#more!.subjectAt(drawn, this.orbit.pivot) : null;
   }
 
-  /** Turn about what is in the middle of the subject, as soon as that is seen. */
-  #aim(): void {
-    const subject = this.#subject();
-    if (subject) this.orbit.aim(subject);
-  }
-
   /** Look at what is under a pointer; beside the subject, go back. */
   #lookAt({ clientX, clientY }: PointerEvent): void {
     const { left, top, width, height } = this.#shell.canvas.getBoundingClientRect();
@@ -414,7 +408,8 @@ export class View {
       () => this.full || host.hasAttribute("capture"),
       signal,
     );
-    this.#aim();
+    const subject = this.#subject();
+    if (subject) this.orbit.pivot = subject.middle;
   }
 
   #hear(name: string, detail: unknown): void {

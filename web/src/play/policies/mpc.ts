@@ -183,12 +183,10 @@ export const ROBUST_MPC: Policy = {
   horizon: HORIZON_SEGMENTS,
 };
 
-/** Name of the policy that plays what is wished for; "auto" is the best rung of a still, and where no quality was
- * measured to weigh.
- */
-export function wishedPolicy(wishes: { quality: string; policy: string }, { measured, still }: Offers): string {
+/** Name of the policy that plays what is wished for; "auto" is the best rung of a still, and of what was not measured. */
+export function wishedPolicy(wishes: { quality: string; policy: string }, { measured, live, tables }: Offers): string {
   if (wishes.quality !== "auto") return `fixed:${wishes.quality}`;
-  return measured && !still ? wishes.policy : "fixed:0";
+  return measured && (live || tables.root.frames > 1) ? wishes.policy : "fixed:0";
 }
 
 /** fixed:J (level J, finest keyframes) or fixed:RUNG, in the finest level offered. Throws ConfigError for other names. */
