@@ -65,7 +65,7 @@ export function subjectAt(drawn: Drawn, about: Vector): Subject | null {
     forEach(drawn, (at, depth) => {
       const way = minus([((firsts[at] - cx) / fx) * depth, ((firsts[at + 1] - cy) / fy) * depth, depth], middle);
       if (!(length(way) < most)) return;
-      const weight = firsts[at + 2] * firsts[at + 3] * Math.exp(seconds[at + 1]);
+      const weight = firsts[at + 2] * firsts[at + 3] * Math.exp(seconds[at + 1]) * depth ** 2;
       whole += weight;
       sum = along(sum, way, weight);
       squares = along(
