@@ -31,7 +31,6 @@ AGREEMENT = 0.1  # directions whose mean is shorter do not agree on where up is
 FORGIVEN_DEGREES = 1e-4  # beyond the turn, by which players let viewers look further aside
 FORGIVEN_SHARE = 1e-9  # of how far the focus is, or a coordinate, beyond the reach: positions from matrices round
 LEVELLING = 100  # steps to what is upright: with more, rounding would speak where places say nothing
-WIDE = 16 / 9
 DECIDING, MEASURING, CHECKING = 0, 1, 2  # seeds of draws: for an encoder, for its tables, for whoever checks them
 AXES = {sign + name: tuple(int(f"{sign}1") * (name == axis) for axis in "xyz") for name in "xyz" for sign in ("", "-")}
 
@@ -47,10 +46,10 @@ def first_views(region: Region, world: World | None) -> tuple[Camera, ...]:
 
 
 def opening_view(region: Region, world: World | None) -> Camera:
-    """Return what players show first where there is room at the sides: the first place, as WIDE as screens are."""
+    """Return what players show first where there is room at the sides: the first place, at least 16 to 9."""
     level = levelled(region, world)
     camera = place_view(level, replace(level.places[0], up=upright(level).tolist()))
-    width = max(camera.width, round(WIDE * camera.height))
+    width = max(camera.width, round(camera.height * 16 / 9))
     return replace(camera, width=width, cx=width / 2)
 
 

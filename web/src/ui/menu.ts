@@ -60,8 +60,8 @@ export class Menu {
 
   /** The figures of rungs have come: say them where people look. */
   update(): void {
-    const { rungs } = this.desk;
-    if (this.#told !== rungs && this.#page === "quality") this.#show(this.#page);
+    const news = this.#told !== this.desk.rungs && this.#told.some(({ kbps }) => !kbps);
+    if (news && this.#page === "quality") this.#show(this.#page);
   }
 
   #show(page: Page): void {

@@ -1,5 +1,5 @@
 // What is under a pointer, and where the subject is: from what a picture shows of each Gaussian.
-import { along, dot, length, minus, type Vector } from "../format/vector.ts";
+import { along, dot, length, minus, type Vector, vector } from "../format/vector.ts";
 import type { Drawn } from "../render/renderer.ts";
 
 /** The middle of what is seen of a subject, and half of its size to the right, down and ahead, world units. */
@@ -11,6 +11,8 @@ export interface Subject {
 /** The subject is nearer to what is looked at than this share of the viewer's distance; looked for so many times. */
 const NEAR = 0.5;
 const LOOKS = 4;
+/** More Gaussians are not needed to find it: of many, some are left out. */
+const MOST = 50_000;
 /** Half of a size, in standard deviations. */
 const HALF = 2;
 
@@ -20,10 +22,12 @@ function halfFloat(bits: number): number {
   return sign * (exponent ? 2 ** (exponent - 15) * (1 + fraction / 1024) : 2 ** -24 * fraction);
 }
 
-/** Calls `take` with where each Gaussian in a picture is in `firsts` and `seconds`, and its depth, world units. */
-function forEach({ seconds }: Drawn, take: (at: number, depth: number) => void): void {
+/** Calls `take` with where each Gaussian in a picture is in `firsts` and `seconds`, or each `step`-th, and its depth. */
+function forEach({ seconds }: Drawn, take: (at: number, depth: number) => void, step = 1): void {
   const words = new Uint32Array(seconds.buffer);
-  for (let at = 0; at < seconds.length; at += 4) if (words[at + 1]) take(at, 2 ** halfFloat(words[at + 3] >>> 16));
+  for (let at = 0; at < seconds.length; at += 4 * step) {
+    if (words[at + 1]) take(at, 2 ** halfFloat(words[at + 3] >>> 16));
+  }
 }
 
 /** What is to the right, down and ahead of a camera, in world units. */
@@ -59,24 +63,24 @@ export function subjectAt(drawn: Drawn, about: Vector): Subject | null {
   const { worldToCamera: m, cx, cy, fx, fy } = camera;
   let middle = [0, 4, 8].map((i) => dot([m[i], m[i + 1], m[i + 2]], about) + m[i + 3]) as unknown as Vector;
   const most = NEAR * length(middle);
+  const step = Math.ceil(seconds.length / 4 / MOST);
   let half = middle;
   for (let look = 0; look < LOOKS; look++) {
-    let [whole, sum, squares] = [0, [0, 0, 0] as Vector, [0, 0, 0] as Vector];
-    forEach(drawn, (at, depth) => {
+    const [sums, squares] = [new Float64Array(4), new Float64Array(3)]; // of the ways to the middle, and of weights
+    const take = (at: number, depth: number) => {
       const way = minus([((firsts[at] - cx) / fx) * depth, ((firsts[at + 1] - cy) / fy) * depth, depth], middle);
       if (!(length(way) < most)) return;
       const weight = firsts[at + 2] * firsts[at + 3] * Math.exp(seconds[at + 1]) * depth ** 2;
-      whole += weight;
-      sum = along(sum, way, weight);
-      squares = along(
-        squares,
-        way.map((one) => one * one),
-        weight,
-      );
-    });
-    if (!(whole > 0)) return null;
-    const mean = sum.map((one) => one / whole) as unknown as Vector;
-    half = squares.map((one, i) => HALF * Math.sqrt(Math.max(0, one / whole - mean[i] ** 2))) as unknown as Vector;
+      sums[3] += weight;
+      for (let axis = 0; axis < 3; axis++) {
+        sums[axis] += weight * way[axis];
+        squares[axis] += weight * way[axis] ** 2;
+      }
+    };
+    forEach(drawn, take, step);
+    if (!(sums[3] > 0)) return null;
+    const mean = vector(sums.map((one) => one / sums[3]));
+    half = vector(squares.map((one, i) => HALF * Math.sqrt(Math.max(0, one / sums[3] - mean[i] ** 2))));
     middle = along(middle, mean);
   }
   return { middle: placed(camera, middle), half };

@@ -86,7 +86,7 @@ async function pictures(name: string, shots: string): Promise<void> {
 async function run(): Promise<object> {
   const shots = new URLSearchParams(location.search).get("shots") ?? "";
   await window.drive("setViewportSize", SIZES.wide);
-  await until("a picture", () => player()?.stats.framesShown > 0 && !!find(".panel"));
+  await until("a picture", () => !!node() && player()?.stats.framesShown > 0 && !!find(".panel"));
   const still = {
     play: seen("[data-icon=play], [data-icon=pause]"),
     line: seen(".timeline"),
