@@ -79,7 +79,7 @@ def validate(options: Validate) -> int:
     else:
         m = open_package(options.package).manifest
         counts = f"{len(m.groups)} groups, {len(m.segments)} segments, {2 + sum(1 for _ in m.files())} files"
-        say(f"valid: {m.frames} frames, {counts}")
+        say(f"valid: {m.length}, {counts}")
         if measured:
             say(format_errors(measured))
     return 1 if findings else 0
