@@ -102,7 +102,7 @@ MISTAKES = {  # words that follow those of the command, and what is said of them
         "--http.timeout 0": "time-out",
     },
     "play": {
-        "none.airgs --trace const:5": "none.airgs", "FOX": "watch the package: airgs-serve /", "folder.spz --trace TRACE": "folder.spz",
+        "none.airgs --trace const:5": "none.airgs", "FOX": "airgs-serve /", "folder.spz --trace TRACE": "folder.spz",
         "TWO --trace zero.csv": "zero.csv",
     },
     "serve TWO": {
