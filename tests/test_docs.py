@@ -27,6 +27,7 @@ def shops(tmp_path_factory):
     (data / "fox_views").symlink_to(FOX_VIEWS)
     settings = EncodeSettings(calibrate="none", measure_pictures=2, preset="ultrafast")
     encode(open_sequence(data / "fox"), few.folder / "fox.airgs", settings)
+    (few.folder / "talk.airgs").symlink_to(few.folder / "fox.airgs")
     return {True: whole, False: few}
 
 

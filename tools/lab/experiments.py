@@ -65,8 +65,9 @@ class Measurement:
     words: str  # of the command after `python -m tools.lab`, which runs in a folder of scenes
 
 
-# In the folder of scenes, frames of fox_alone/ are those of naive 3DGS in `paper`, its transforms.json that of
-# fox_views/ with the cameras that `paper` holds out. fox_b/ is fox/, with cam02, 06, 11 and 14 held out.
+# In the folder of scenes, talk/ is that of manifests/showcase/, frames of fox_alone/ are those of naive 3DGS in `paper`,
+# its transforms.json that of fox_views/ with the cameras that `paper` holds out. fox_b/ is fox/, with cam02, 06, 11 and
+# 14 held out.
 PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
 MEASUREMENTS = (
     Measurement(
@@ -88,7 +89,7 @@ MEASUREMENTS = (
         "rd-spinach", "size", f"rd spinach10/ spinach_views.json --fps 30 --at 40 --targets 42 40 38 36 {PEERS}"
     ),
     Measurement(
-        "rd-head", "size", f"rd head10/ head_views.json --fps 30 --at 44.5 --targets 46 44 42 40 38 {PEERS}"
+        "rd-talk", "size", f"rd talk/ talk/transforms.json --at 43 --targets 47 45 43 41 39 37 {PEERS}"
     ),
     Measurement(
         "rivals", "baselines",

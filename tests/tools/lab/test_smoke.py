@@ -52,7 +52,7 @@ RUNS = {  # by the names of what is published: commands, in a folder with the sc
     "soak-farm": "soak-farm --groups 1 --kills 4",
 }
 UNPUBLISHED = {"devices", "link", "footage", "pace-train", "soak-farm"}
-TWINS = {"rd-spinach", "rd-head", "tracked-fox", "paper-system", "splits-basketball", "splits-kinoptic"}
+TWINS = {"rd-spinach", "rd-talk", "tracked-fox", "paper-system", "splits-basketball", "splits-kinoptic"}
 TWINS |= {f"mechanisms-{name}" for name in ("basketball", "trainer", "motion", "exposure")}
 
 
