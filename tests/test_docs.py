@@ -11,8 +11,8 @@ from tools import check_docs
 
 MOST_WORDS = {"README.md": 800, "CONTRIBUTING.md": 1000, "FORMAT.md": 5200}
 USER_PAGES = [
-    "README", "browser", "encoding", "farm", "formats", "playing", "python", "security", "serving", "tracking",
-    "training",
+    "README", "browser", "encoding", "farm", "formats", "playing", "python", "security", "serving", "tools",
+    "tracking", "training",
 ]  # fmt: skip
 
 

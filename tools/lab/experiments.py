@@ -65,7 +65,7 @@ class Measurement:
     words: str  # of the command after `python -m tools.lab`, which runs in a folder of scenes
 
 
-# In the folder of scenes, talk/ is that of manifests/showcase/, frames of fox_alone/ are those of naive 3DGS in `paper`,
+# In the folder of scenes, talk/ is that of the showcase; frames of fox_alone/ are those of naive 3DGS in `paper`,
 # its transforms.json that of fox_views/ with the cameras that `paper` holds out. fox_b/ is fox/, with cam02, 06, 11 and
 # 14 held out.
 PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
