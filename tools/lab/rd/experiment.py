@@ -158,6 +158,7 @@ def verdict(scene: str, rows: Sequence[Row], at: float) -> str:
 def draw(points: Sequence[RdPoint], title: str, figure: Figure) -> None:
     """Bytes against PSNR: for each format the points that none of its variants beats, with its name at their end."""
     axis = figure.subplots()
+    points = [p for p in points if p.coder != OURS_WHOLE]
     for name in dict.fromkeys(format_of(p.coder) for p in points):
         curve = rising([p for p in points if format_of(p.coder) == name])
         x, y = [p.kb_per_frame for p in curve], [p.psnr for p in curve]
