@@ -19,7 +19,7 @@ from urllib.parse import quote
 
 from airgs_codec.errors import AirgsError, FormatError
 from airgs_codec.package.layout import JSON_NAME, MPD_NAME, POSTER_NAME
-from airgs_codec.package.manifest import Groups, Manifest, quality_of
+from airgs_codec.package.manifest import Groups, Manifest, quality_of, rungs_of
 from airgs_codec.package.package import open_package
 
 PAGE_FOLDER = Path(__file__).parent / "page"
@@ -92,11 +92,10 @@ def look_at(m: Manifest, root_bytes: int) -> Glance:
     """
     first, whole = m.groups[:GROUPS_READ], len(m.groups) <= GROUPS_READ
     part = m if whole else replace(m, frames=first[-1].stop, groups=Groups.of(first))
-    listed = part.media_bytes() + part.bytes_of(part.table_files())
-    size = root_bytes + listed * m.frames // part.frames
-    rate = float(8 * part.bytes_of(part.rung_files(0, 0)) * m.fps / part.frames)  # bits a second, without tables
+    tables = root_bytes * part.frames // m.frames + part.bytes_of(part.table_files())
+    size, top = (part.media_bytes() + tables) * m.frames // part.frames, rungs_of(part, tables)[0].bytes
     quality, about = quality_of(part, 0, 0), "" if whole else "about "
-    cost = _size(part.bytes_of(part.rung_files(0, 0))) if m.still else f"{rate / 1e6:.3g} Mbit/s"
+    cost = _size(top) if m.still else f"{float(8 * top * m.fps / part.frames) / 1e6:.2f} Mbit/s"
     words = [
         m.length if m.still else f"{float(m.frames / m.fps):.1f} s · {m.length}",
         f"{about}{_size(size)}",
