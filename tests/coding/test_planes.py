@@ -11,17 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from airgs_codec.coding import atlas, channels, escapes, kernels
-from tests.faces import (
-    Atlas,
-    SceneError,
-    decode_frames,
-    from_codes,
-    open_package,
-    pack_matrix,
-    sigmoid,
-    to_codes,
-    unpack_matrix,
-)  # fmt: skip
+from tests import faces
+from tests.faces import Atlas, decode_frames, from_codes, open_package, pack_matrix, sigmoid, to_codes, unpack_matrix
 from tests.support.paths import GOLDEN
 
 
@@ -36,11 +27,11 @@ def test_quantisation_error_is_at_most_half_a_code(values, step, gain):
 
 def test_what_no_code_holds_and_a_step_that_float32_cannot_hold_are_refused_and_never_clipped():
     for value in (1e30, np.inf, np.nan):
-        with np.errstate(all="ignore"), pytest.raises(SceneError, match="channel 1"):
+        with np.errstate(all="ignore"), pytest.raises(faces.SceneError, match="channel 1"):
             to_codes(np.array([[[0.0], [value]]]), np.array([1.0, 1.0]), 3.0)
     zeros = np.zeros((1, 2, 3))
     for step in (1e-40, 1e40, 0.0, np.inf, np.nan):
-        with pytest.raises(SceneError, match=r"channel 1: expected a step of 1e-30 to 1e\+30, got"):
+        with pytest.raises(faces.SceneError, match=r"channel 1: expected a step of 1e-30 to 1e\+30, got"):
             to_codes(zeros, np.array([1.0, step]), 1.0)
     for held in (1e-30, 1e30):
         steps = np.array([1.0, held])
