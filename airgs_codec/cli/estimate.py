@@ -21,7 +21,7 @@ from airgs_codec.trainer.settings import TrainSettings
 from airgs_codec.trainer.track import CHUNK_FRAMES, DRAWN_PIXELS, DRAWN_VIEWS, track_settings
 
 SORT_S, PACE_S = 6.2e-3, 0.2  # how long one takes, and how long they are done
-SHARED = -0.5  # time falls with this power of the cores, and of the processes that share them
+CORES = -0.5  # time falls with this power of their number, and of that of processes that share them
 LOOKED_AHEAD = 11  # frames that show what the first one that is tracked has by chance
 UNREST = 2.0  # bits, where frames cannot tell
 Expected = tuple[dict[str, float], float]  # seconds of each stage, in their order, and bytes
@@ -33,7 +33,7 @@ def pace() -> float:
     while (took := time.perf_counter() - begun) < PACE_S:
         np.sort(numbers, kind="stable")  # a merge sort, which no vector unit speeds up
         sorts += 1
-    return float((took * (time.thread_time() - own)) ** 0.5 / sorts / SORT_S * available_cores() ** SHARED)
+    return float((took * (time.thread_time() - own)) ** 0.5 / sorts / SORT_S * available_cores() ** CORES)
 
 
 def of_encode(
@@ -51,7 +51,7 @@ def of_encode(
     drawn_s = 6e-7 * n + 5e-8 * min(pixels, DECISION_PIXELS) + 1e-3
     survey_s = drawn_s * (1.7 * s.decide_pictures * (groups / own) ** 0.5 + s.check_pictures)
     coded_s = groups * (0.5 + 1.2e-5 * n * (1 + qualities)) + f * 1.9e-8 * n * (13 + sh) * (0.5 + levels)
-    coded_s = (coded_s + (own - 1) * 1.3 * survey_s) * min(jobs, own, available_cores()) ** SHARED
+    coded_s = (coded_s + (own - 1) * 1.3 * survey_s) * min(jobs, own, available_cores()) ** CORES
     measured_s = s.measure_pictures * (6e-7 * n + 5e-8 * pixels + 1e-3) * (0.5 + 0.6 * levels) + 0.3
     seconds = {
         "frames": 2e-7 * n * f, "order of rows": 4e-5 * n * f * lost,
@@ -99,6 +99,6 @@ def of_training(
     first_s = (s.keyframe_iterations if tracks else s.iterations_from_scratch(views)) * fit_s
     first_s += tracks * min(frames - 1, LOOKED_AHEAD) * other_s
     at_once = min(jobs, -(-frames // (s.group_frames or frames)), available_cores())
-    seconds = first_s + other_s * (frames - 1) * at_once**SHARED + read_s * views * (min(60, frames + 17) + 16)
+    seconds = first_s + other_s * (frames - 1) * at_once**CORES + read_s * views * (min(60, frames + 17) + 16)
     usage_s = (6e-7 * n + 5e-8 * pixels + 1e-3) * slower * views * frames
     return {"training": seconds, "usage": usage_s}, 4 * n * (17 + 3 * SH_REST[s.sh_degree]) * frames
