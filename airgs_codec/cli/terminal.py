@@ -132,9 +132,11 @@ class Bar(AbstractContextManager["Bar"]):
         with self._lock:
             if not self._seconds and name_of(stage) != name_of(self._stage):
                 self._whole = Whole({name_of(stage): 1.0})
-            self._stage, self._bar = stage, self._bar or (None if self._piped else _tqdm())
+            self._stage, self._bar = stage, self._bar or (None if self._piped else _tqdm(stage))
             self._whole.report(stage, done, total)
             self._show()
+            if self._whole.look()[0] == 1.0:
+                self._seconds = {}  # what comes now has a bar of its own
 
     def _go_on(self) -> None:
         with suppress(OSError):  # nobody reads stderr any more
@@ -164,8 +166,9 @@ class Bar(AbstractContextManager["Bar"]):
         self.close()
 
 
-def _tqdm() -> Any:
+def _tqdm(stage: str) -> Any:
     from tqdm import tqdm  # 0.1 s, which a command without long work need not wait for
 
     columns = os.get_terminal_size(sys.stderr.fileno()).columns or NARROW
-    return tqdm(total=1.0, leave=False, ncols=columns, bar_format="{desc} |{bar}|")
+    how = {"ncols": columns, "nrows": 2, "bar_format": "{desc} |{bar}|"}  # one line, whatever the terminal says it has
+    return tqdm(total=1.0, desc=_plain(stage), leave=False, **how)
