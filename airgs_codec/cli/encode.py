@@ -125,8 +125,8 @@ def encode(options: Encode) -> int:
     stored = options.workers.work
     with Bar(options.json) as bar, options.workers.opened(bar) as work, ExitStack() as stack:
         if not (options.json or options.plan is True):
-            rows: Given = {"lost": bool(words), "track": track}
-            bar.expect(target, *of_encode(sequence, settings, options.workers.jobs, goal=goal is not None, **rows))
+            rows: Given = {"goal": goal is not None, "lost": bool(words), "track": track}
+            bar.expect(target, *of_encode(sequence, settings, **rows))
         if track:
             models = Path(stored) if stored and not is_address(stored) else None
             sequence = stack.enter_context(tracked(sequence, open_renderer(options.device), work, models))

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import time
 import zlib
+from dataclasses import fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from airgs_codec._settings import available_cores
 from airgs_codec.analysis.grouping import plan_groups
@@ -21,8 +21,8 @@ from airgs_codec.trainer.data.multiview import MultiviewScene
 from airgs_codec.trainer.settings import TrainSettings
 from airgs_codec.trainer.track import CHUNK_FRAMES, DRAWN_PIXELS, DRAWN_VIEWS, track_settings
 
-SORT_S, PACE_S = 6.2e-3, 0.2  # how long one takes, and how long they are done
-CORES = -0.5  # time falls with this power of their number, and of that of processes that share them
+SORT_S, SORTS = 6.2e-3, 30  # how long one takes, and their number
+CORES = -0.5  # time falls with this power of their number
 KEYFRAME = 25  # frames that take as long as it to encode
 TRACKED_BYTES = 2.0  # a Gaussian and frame, where frames cannot tell before they are tracked
 LOOKED_AHEAD = 11  # frames that show what the first one that is tracked has by chance
@@ -31,31 +31,26 @@ Expected = tuple[dict[str, float], float]  # seconds of each stage, in their ord
 
 def pace() -> float:
     """Return how many times as long work takes on this machine, as busy as it is."""
-    numbers, sorts, begun_s = np.random.default_rng(0).random(100_000), 0, time.perf_counter()
-    while (took_s := time.perf_counter() - begun_s) < PACE_S:
-        np.sort(numbers, kind="stable")  # a merge sort, which no vector unit speeds up
-        sorts += 1
-    return float(took_s / sorts / SORT_S * available_cores() ** CORES)
+    numbers, begun_s = np.random.default_rng(0).random((SORTS, 100_000)), time.perf_counter()
+    np.sort(numbers, kind="stable")  # a merge sort, which no vector unit speeds up
+    return (time.perf_counter() - begun_s) / SORTS / SORT_S * available_cores() ** CORES
 
 
 def picture_s(n: float, pixels: float) -> float:
     return 6e-7 * n + 5e-8 * pixels + 1e-3
 
 
-def of_encode(
-    sequence: GaussianSequence, s: EncodeSettings, jobs: int, *, goal: bool, lost: bool, track: bool
-) -> Expected:
+def of_encode(sequence: GaussianSequence, s: EncodeSettings, *, goal: bool, lost: bool, track: bool) -> Expected:
     """Return what `encoder.publish.encode` takes, of rows that are `lost`, or tracked. Raises SceneError."""
     f, sh, spans = len(sequence), 3 * SH_REST[sequence.sh_degree], plan_groups(sequence, s.group_frames).spans
     n, groups = sum(header.count for header in sequence.headers) / f, len(spans)
     own = sum(a == 0 or a in sequence.breaks or sequence.count(a) != sequence.count(a - 1) for a, _ in spans)
-    if track:
-        groups, own = -(-f // CHUNK_FRAMES), -(-f // CHUNK_FRAMES)
+    groups, own = (-(-f // CHUNK_FRAMES),) * 2 if track else (groups, own)
     levels, finds = (1 if f == 1 else len(s.levels)), s.calibrate != "none"
     pixels = sequence.cameras[0].width * sequence.cameras[0].height if sequence.cameras else DRAWN_PIXELS
     seen_s, surveyed = picture_s(n, min(pixels, DECISION_PIXELS)), 2 * (s.decide_pictures + s.check_pictures)
     coded_s = 2e-8 * n * (13 + sh) * (f + KEYFRAME * groups) * (0.5 + levels) + 0.5 * groups
-    coded_s = (coded_s + surveyed * seen_s * (own - finds)) * min(jobs, own, available_cores()) ** CORES
+    coded_s += surveyed * seen_s * (own - finds)
     measured_s = 0.3 + 0.6 * s.measure_pictures * picture_s(n, pixels) * (1 + levels)
     seconds = {
         "frames": 2e-7 * n * f, "order of rows": 4e-5 * n * f * (lost and not track), "views": 0.3 + 40 * seen_s,
@@ -66,30 +61,24 @@ def of_encode(
     keyframes = n * (9 + 0.6 * sh) * (own + groups) / 2 * len(s.keyframe_factors) / 2
     size = 30e3 + (keyframes + 0.15 * moved * n * f * (1 + levels)) * s.quality**-0.7 * (1.0 if finds else 1.3)
     slower = pace()
-    before = of_training(sequence, f, track_settings(sequence), s.device, jobs)[0] if track else {}
+    before = of_training(sequence, f, track_settings(sequence), s.device)[0] if track else {}
     return before | {stage: slower * value for stage, value in seconds.items()}, size
 
 
 def moved_bytes(sequence: GaussianSequence, start: int, stop: int) -> float:
     """Return what zlib makes of how a Gaussian changes in a frame, in 30ths of the spread of each value."""
-    frames = [_columns(sequence, min(stop - 1, (start + stop) // 2 + i)) for i in range(3)]
-    if stop - start < 3 or len({len(values) for values in frames}) > 1:
+    frames = [sequence.read(min(stop - 1, (start + stop) // 2 + i)) for i in range(3)]
+    n = len(frames[0])
+    if stop - start < 3 or any(len(g) != n for g in frames):
         return TRACKED_BYTES * (stop - start > 1)
-    (a, b, c), spread = frames, np.subtract(*np.percentile(frames[0], (75, 25), axis=0))
+    values = [np.hstack([getattr(g, field.name).reshape(n, -1) for field in fields(g)]) for g in frames]
+    a, b, c = (np.nan_to_num(v.astype(float), posinf=0, neginf=0) for v in values)  # frames come as they were written
+    spread = np.subtract(*np.percentile(a, (75, 25), axis=0))
     steps = (np.clip(np.rint(way / np.where(spread > 0, spread, 1) * 30), -127, 127) for way in (b - a, c - 2 * b + a))
-    return min(sum(len(zlib.compress(s.astype(np.int8).tobytes())) for s in way.T) for way in steps) / len(a)
+    return min(sum(len(zlib.compress(s.astype(np.int8).tobytes())) for s in way.T) for way in steps) / n
 
 
-def _columns(sequence: GaussianSequence, frame: int) -> NDArray[np.float64]:
-    g = sequence.read(frame)
-    columns = (g.means, g.quaternions, g.log_scales, g.opacity_logits, g.sh_dc, g.sh_rest)
-    values = np.concatenate([column.reshape(len(g.means), -1) for column in columns], axis=1)
-    return np.nan_to_num(values.astype(np.float64), posinf=0, neginf=0)  # frames come as they were written
-
-
-def of_training(
-    scene: MultiviewScene | GaussianSequence, frames: int, s: TrainSettings, device: str, jobs: int
-) -> Expected:
+def of_training(scene: MultiviewScene | GaussianSequence, frames: int, s: TrainSettings, device: str) -> Expected:
     """Return what a training, or tracking, of some frames takes."""
     slower, tracks = pace(), isinstance(scene, GaussianSequence)
     if isinstance(scene, GaussianSequence):
@@ -106,7 +95,6 @@ def of_training(
     other_s = 0.5 * s.frame_iterations * fit_s + 6e-7 * views * pixels
     first_s = (s.keyframe_iterations if tracks else s.iterations_from_scratch(views)) * fit_s
     first_s += tracks * min(frames - 1, LOOKED_AHEAD) * other_s
-    at_once = min(jobs, -(-frames // (s.group_frames or frames)), available_cores())
-    seconds = first_s + other_s * (frames - 1) * at_once**CORES + read_s * views * (min(60, frames + 17) + 16)
+    seconds = first_s + other_s * (frames - 1) + read_s * views * (min(60, frames + 17) + 16)
     expected = {"training": slower * seconds, "usage": slower * picture_s(n, pixels) * views * frames}
     return expected, 4 * n * (17 + 3 * SH_REST[s.sh_degree]) * frames

@@ -112,7 +112,7 @@ def train_model(options: Train, bar: Bar) -> ModelFolder:
             raise ConfigError(f"{shared}: expected --group-frames, without which each frame follows the one before")
         span = frames_of(opened, parse_frames(options.frames))
     if known is None:
-        bar.expect(str(folder), *of_training(opened, len(range(*span)), settings, device, options.workers.jobs))
+        bar.expect(str(folder), *of_training(opened, len(range(*span)), settings, device))
     if isinstance(opened, GaussianSequence):
         scene = pictured(opened, renderer, bar)
     else:

@@ -196,9 +196,7 @@ def search_quality(
         trials.append((factor, got))
         return got
 
-    found = settings.at(find_quality(goal, trial, settings.quality))
-    progress("search", TRIALS, TRIALS)
-    return found, trials
+    return settings.at(find_quality(goal, trial, settings.quality)), trials
 
 
 def weigh_colours(

@@ -37,12 +37,11 @@ from airgs_codec.trainer.settings import TrainSettings
 
 DRAWN_VIEWS, DRAWN_PIXELS = 32, 65_536
 CHUNK_FRAMES = 30
-INTRA_BYTES = (1.6, 0.4)  # about, of a Gaussian of an intra-coded frame, and of each SH coefficient above band 0
-TRACKED_SHARES = (7, 2)  # tracking divides bytes by these: a head with noise, a fox whose frames were trained singly
+SAVES = "takes a seventh to a half of the bytes"  # a head with noise, a fox whose frames were trained singly
 
 
 def decide(sequence: GaussianSequence, wanted: bool | None = None, rows: str = AUTO) -> tuple[bool, str]:
-    """Return whether a sequence is tracked, and a sentence on its rows, the cost and the alternative.
+    """Return whether a sequence is tracked, and a sentence on its rows and the alternative.
 
     `wanted`: None to look at the first frames. `rows`: as in `analysis.rows`. The sentence is empty where rows are in
     order. Raises SceneError for a broken frame.
@@ -52,19 +51,11 @@ def decide(sequence: GaussianSequence, wanted: bool | None = None, rows: str = A
     shared, words = first_look(sequence, rows)
     if shared:
         return bool(wanted), words
-    count = sum(header.count for header in sequence.headers)
-    further = 3 * ((sequence.sh_degree + 1) ** 2 - 1)
-    intra = count / len(sequence) * (INTRA_BYTES[0] + INTRA_BYTES[1] * further) / 1e3
-    sizes = (f"{kb:.0f}" if kb >= 10 else f"{kb:.1f}" for kb in (intra, *(intra / share for share in TRACKED_SHARES)))
-    each, less = (f"about {size} kB a frame" for size in (next(sizes), " to ".join(sizes)))
     if wanted is False or rows != AUTO:
-        offer = f"--track makes one set of moving Gaussians of them first, then {less}"
-        return False, f"{words}; coded one by one, {each}; {offer}"
+        return False, f"{words}; coded one by one; --track makes one set of moving Gaussians of them first: it {SAVES}"
     if wanted is None and find_spec("torch") is None:
-        install = "tracking takes a half to a seventh of that and needs torch: pip install 'airgs-codec[train]'"
-        return False, f"{words}; coded one by one, {each}; {install}"
-    leave = "" if wanted else "; --no-track leaves them as they are"
-    return True, f"{words}; tracked first, then {less} in place of {each}{leave}"
+        return False, f"{words}; coded one by one; tracking {SAVES}, needs torch: pip install 'airgs-codec[train]'"
+    return True, f"{words}; tracked first, which {SAVES}{'' if wanted else '; --no-track leaves them as they are'}"
 
 
 def track_settings(sequence: GaussianSequence) -> TrainSettings:

@@ -16,7 +16,6 @@ from tests import faces
 from tests.support.camera_files import write_colmap_binary, write_inria
 from tests.support.manifests import in_groups, tiny_manifest
 from tests.support.paths import FOX, GOLDEN
-from tests.support.progress import stages_of
 from tests.support.scenes import moving_frames, write_sequence
 from tests.support.splat_files import splat_bytes
 from tests.support.views import ring
@@ -65,12 +64,11 @@ def test_encode_reports_what_it_did_and_inspect_what_is_there(encoded, tmp_path,
 
 
 def test_an_encode_says_first_what_it_will_take_and_then_how_far_all_of_it_is(encoded):
-    stages = ["frames", "order of rows", "views", "encoding", "measuring"]
-    heard = (encoded / "heard").read_text()
-    assert stages_of(heard, "out") == stages
-    megabytes = re.search(r"then about ([\d.]+) MB", heard)
-    size = sum(path.stat().st_size for path in (encoded / "out").rglob("*") if path.is_file())
-    assert 0.4 < float(megabytes[1]) / (size / 1e6) < 2.5
+    heard, size = (encoded / "heard").read_text(), sum(path.stat().st_size for path in (encoded / "out").rglob("*.*"))
+    assert 0.5 < float(re.search(r"/out: about \d+ s, then about ([\d.]+) MB\n", heard)[1]) / (size / 1e6) < 2
+    stages, shares = zip(*re.findall(r"(?m)^([^:\n]+).*: (\d+)% after", heard), strict=True)
+    assert list(dict.fromkeys(stages)) == ["frames", "order of rows", "views", "encoding", "measuring"]
+    assert list(shares) == sorted(shares, key=int)
 
 
 def test_frames_of_sog_come_out_tracked_and_as_they_were_promised(encoded, tmp_path, capsys):
