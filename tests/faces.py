@@ -154,6 +154,7 @@ from airgs_codec.cli.manifest import main as airgs_manifest
 from airgs_codec.cli.play import main as airgs_play
 from airgs_codec.cli.serve import main as airgs_serve
 from airgs_codec.cli.train import main as airgs_train
+from airgs_codec.cli.terminal import Bar
 from airgs_codec.cli.train import match_cameras
 
 join_rows = Gaussians.join

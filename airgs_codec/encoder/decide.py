@@ -49,6 +49,7 @@ def choose(
     sequence, renderer, watch = ordered.sequence, open_renderer(settings.device), Stopwatch()
     in_order = f"{len(ordered.restored.matched)} frames were put in order"
     choices = [Choice("order of Gaussians", in_order, ordered.seconds)]
+    progress("views", 0, 1)
     views, notes = choose_views(sequence, settings, renderer)
     choices.append(Choice("views", region_words(views.region), watch.lap()))
     settings = replace(settings, steps=settings.steps.at_scale(views.scale))
