@@ -142,6 +142,7 @@ from airgs_codec.serve.app import (
 )  # fmt: skip
 from airgs_codec.serve.pages import PAGE_TYPES, content_policy, describe, is_built, list_page
 from airgs_codec.serve.export import export_page
+from airgs_codec.serve.scenes import Scenes
 
 # Work in jobs
 from airgs_codec.jobs.executors import DaskCluster, Processes

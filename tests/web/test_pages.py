@@ -1,15 +1,17 @@
 """The pages that are published: they play with nothing of a test in them, ask nobody else, and are used by people."""
 
+import base64
 import shutil
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 
-from tests.faces import export_page, mse, open_package, psnr, read_picture
+from tests.faces import export_page, mse, open_package, psnr, read_picture, write_ply
 from tests.support.browser import WEB, Answer, build_pages, missing, serve, visit_all
 from tests.support.page import SHIPPED, asking, shipped_page
 from tests.support.paths import CORPUS, GOLDEN, VALID
+from tests.support.scenes import random_gaussians
 from tests.support.servers import plainly_serving, serving
 
 SHOWCASE = CORPUS / "showcase"
@@ -148,3 +150,27 @@ def test_a_double_click_looks_at_what_is_there_and_drags_turn_about_it_then(hand
     depths, off, *_ = np.linalg.lstsq(ways.T * [1, -1], places[1] - places[0], rcond=None)
     assert off < 1e-6 and 1.5 < depths[0] < 3.5  # the axes of both views meet in the scene
     assert 0.5 < hand["scene"]["framed"]["width"] < 0.95  # and F shows all of it
+
+
+DROP = """if (window === top) window.report = (async () => {
+  const wait = () => new Promise((resolve) => setTimeout(resolve, 50));
+  const list = document.createElement("iframe");
+  await new Promise((resolve) => addEventListener("load", resolve));
+  document.body.append(Object.assign(list, { src: "/" }));
+  const seen = () => list.contentDocument;
+  while (!seen().querySelector("label") || seen().readyState !== "complete") await wait();
+  const dataTransfer = new DataTransfer();
+  dataTransfer.items.add(new File([await (await fetch("data:;base64,DATA")).blob()], "small.ply"));
+  seen().dispatchEvent(new DragEvent("drop", { dataTransfer }));
+  while (!(seen()?.querySelector("airgs-player")?.player?.stats.framesShown > 0)) await wait();
+  return list.contentWindow.location.search;
+})();"""
+
+
+def test_a_file_that_is_dropped_on_the_list_plays(tmp_path):
+    write_ply(tmp_path / "small.ply", random_gaussians(60))
+    (tmp_path / "home").mkdir()
+    data = base64.b64encode((tmp_path / "small.ply").read_bytes()).decode()
+    with serving(home=tmp_path / "home") as port:
+        [seen] = visit_all([(f"http://127.0.0.1:{port}/airgs-list.js", DROP.replace("DATA", data))])
+    assert (seen.report, seen.failed) == ("?src=small.airgs/", [])
