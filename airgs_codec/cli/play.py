@@ -89,7 +89,7 @@ def play(options: Play) -> int:
     if not options.trace:
         raise ConfigError(
             "expected --trace, of whose link a viewer is simulated, such as const:8, or --compare with --traces; "
-            f"to watch the package: airgs-serve {options.package}"
+            f"to watch the package: airgs-serve {options.package} --open"
         )
     trace = replace(Trace.open(options.trace).cut(options.offset, options.scale), end=options.end)
     log = simulate(package, Link.over(trace, options.rtt_s), options.policy, rules, find_faults(package))

@@ -120,7 +120,7 @@ class Bar(AbstractContextManager["Bar"]):
     def expect(self, what: str, seconds: dict[str, float], size: float) -> None:
         """Show one bar for stages of so many seconds; when the first begins, say what is expected, and the bytes."""
         time_words, megabytes = about(sum(seconds.values())), float(f"{size / 1e6:.2g}")
-        self._seconds, self._words = seconds, f"{what}: {time_words}, then about {megabytes:g} MB"
+        self._seconds, self._words = seconds, f"{what}: will take {time_words} and {megabytes:g} MB"
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         if self.quiet:

@@ -22,7 +22,7 @@ from airgs_codec.serve.pages import LIST_SCRIPT, escape, title_of
 
 MOST_BYTES = 4 << 30  # of a file that is dropped
 ENCODE = "from airgs_codec.cli import encode, terminal; terminal.LINE_S = 0.5; raise SystemExit(encode.main())"
-_HOW_FAR = re.compile(r"(.+): (\d+) of (\d+), after .*")  # what it says every LINE_S
+_HOW_FAR = re.compile(r".+: (\d+)% after .*")  # what it says every LINE_S
 
 
 @dataclass(slots=True, eq=False)
@@ -30,7 +30,7 @@ class Scene:
     source: Path
     package: Path
     lines: Sequence[str] = ("waiting",)  # what airgs-encode says, and has decided
-    share: float = 0.0  # of a stage
+    share: float = 0.0  # of the work
     status: int | None = None  # of airgs-encode, when it has ended
 
     def as_html(self) -> str:
@@ -117,7 +117,7 @@ class Scenes:
     def _hear(self, scene: Scene, line: str) -> None:
         scene.lines = [line.removeprefix("airgs-encode: ").replace(f"{scene.source.parent}{os.sep}", "")]
         if found := _HOW_FAR.fullmatch(line):
-            scene.share = int(found[2]) / int(found[3])
+            scene.share = int(found[1]) / 100
         else:
             self._say(f"{scene.package.name}: {scene.lines[0]}")
 

@@ -65,7 +65,7 @@ def test_encode_reports_what_it_did_and_inspect_what_is_there(encoded, tmp_path,
 
 def test_an_encode_says_first_what_it_will_take_and_then_how_far_all_of_it_is(encoded):
     heard, size = (encoded / "heard").read_text(), sum(path.stat().st_size for path in (encoded / "out").rglob("*.*"))
-    assert 0.5 < float(re.search(r"/out: about \d+ s, then about ([\d.]+) MB\n", heard)[1]) / (size / 1e6) < 2
+    assert 0.5 < float(re.search(r"/out: will take about \d+ s and ([\d.]+) MB\n", heard)[1]) / (size / 1e6) < 2
     stages, shares = zip(*re.findall(r"(?m)^([^:\n]+).*: (\d+)% after", heard), strict=True)
     assert list(dict.fromkeys(stages)) == ["frames", "order of rows", "views", "encoding", "measuring"]
     assert list(shares) == sorted(shares, key=int)

@@ -229,7 +229,7 @@ def test_one_bar_is_for_all_stages_after_a_line_of_what_is_expected(clock, capsy
         ):
             bar(stage, done, 2)
     assert capsys.readouterr().err.splitlines() == [
-        "x.airgs: about 2 minutes, then about 1.2 MB",
+        "x.airgs: will take about 2 minutes and 1.2 MB",
         "encoding: frames 0-9: 25% after 30 s, about 90 s left",
         "encoding: frames 10-19: 62% after 75 s, about 45 s left",
     ]

@@ -21,7 +21,7 @@ def test_airgs_train_says_what_it_did_reports_and_goes_on_as_it_began(blobs, tmp
     words = [str(blobs), "-o", str(tmp_path / "m"), "--report", str(pages), "--min-psnr", "99", *QUICK]
     assert faces.airgs_train([*words, "--sync", str(late)]) == 0
     out, err = capsys.readouterr()
-    assert f"{tmp_path / 'm'}: about " in err and " s, then about 0." in err
+    assert f"{tmp_path / 'm'}: will take about " in err and " s and 0." in err
     assert f"{blobs}: 3 frames of 40x40, 6 training cameras and 1 held out\n" in out
     assert "first frame" in out and "held-out" in out and "dB (mean over views and frames)" in out
     assert out.count("\nframe") == 3  # of 5: from frame 1, and cam01 has no frame 5

@@ -21,13 +21,8 @@ BESIDE = {("render", "media")}  # pairs that know nothing of each other
 IMPORT = re.compile(r'\b(?:from|import) "(?:worker:)?(\.[^"]+\.ts)"')
 MODULES = {path.relative_to(SOURCES).as_posix(): path for path in SOURCES.rglob("*.ts") if path.suffixes == [".ts"]}
 MOST_BYTES = {  # as gzip
-<<<<<<< HEAD
     "airgs.js": 46_200, "airgs-frames.js": 23_500, "airgs-player.js": 58_800, "airgs-vr.js": 2_000,
-    "airgs-more.js": 17_000, "airgs-sound.js": 3_700,
-=======
-    "airgs.js": 46_200, "airgs-frames.js": 23_500, "airgs-player.js": 58_700, "airgs-vr.js": 2_000,
     "airgs-more.js": 17_000, "airgs-sound.js": 3_700, "airgs-list.js": 1_100,
->>>>>>> drop2
 }  # fmt: skip
 PERMISSIVE = {"0BSD", "Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "ISC", "MIT", "PSF-2.0", "Python-2.0"}
 LOCK = json.loads((WEB / "package-lock.json").read_text())["packages"]
