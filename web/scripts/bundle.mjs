@@ -53,6 +53,9 @@ const parts = {
   },
 };
 
+/** Without these what esbuild adds for import(…), though nothing calls it, goes away. */
+const NO_REQUIRE = { require: undefined, Proxy: undefined };
+
 const STARTED = `
 const url=URL.createObjectURL(new Blob([code],{type:"text/javascript"}));
 const worker=new Worker(url,{type:"module"});
@@ -97,7 +100,7 @@ export async function bundleOnce(entry, file) {
   const options = { ...COMMON, minify: true, format: "iife", globalName: "module", metafile: true, write: false };
   const made = await build({ ...options, entryPoints: [entry], plugins: [workers(load), styles, shaders, parts] });
   const { code } = await minify(made.outputFiles[0].text, {
-    compress: { passes: 4, keep_fargs: false, unsafe: true, unsafe_arrows: true },
+    compress: { passes: 4, keep_fargs: false, unsafe: true, unsafe_arrows: true, global_defs: NO_REQUIRE },
     ecma: 2022,
   });
   const names = await exportsOf(entry);
