@@ -69,7 +69,7 @@ def user_pages() -> list[Path]:
 
 def pages() -> list[Path]:
     others = [page for page in sorted(REPOSITORY.glob("*.md")) if page.name != "README.md"]
-    deeper = [REPOSITORY.glob(pattern) for pattern in ("docs/*/*.md", "tests/*/*.md", "manifests/*/*.md")]
+    deeper = [REPOSITORY.glob(pattern) for pattern in ("docs/*/*.md", "tests/*/*.md", "manifests/*/*.md", "web/*.md")]
     return [*user_pages(), *others, *(page for found in deeper for page in sorted(found))]
 
 

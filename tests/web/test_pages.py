@@ -22,6 +22,7 @@ pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(m
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
     build_pages()
+    build_pages("examples")
     folder, shown = tmp_path_factory.mktemp("pages"), [SHOWCASE / "fox.airgs", SHOWCASE / "head.airgs"]
     names = ["moving", "a name_" + 9 * "without_room_"]
     shown += [shutil.copytree(VALID / "moving", folder / "plain" / name) for name in names]
@@ -30,13 +31,14 @@ def seen(tmp_path_factory):
     with serving(FOX) as fox, serving(*shown) as many, plainly_serving(folder) as plain:
         text = (WEB / "examples" / "embed.html").read_text().replace("127.0.0.1:8000", f"127.0.0.1:{fox}")
         embedded = Answer(text.replace("fox.airgs", "fox").encode(), headers={"Content-Type": "text/html"})
-        made = {"/": embedded, "/page/player.html": shipped_page("page")}
+        made = {"/": embedded, "/page/player.html": shipped_page("page"), "/favicon.ico": b""}
         with serve({"web": WEB, "page": SHIPPED, "scenes": FOX.parent}, made) as site:
             own = site.url.removeprefix("http://127.0.0.1:")
             pages = {
                 "of the server": (fox, "player.html?src=%2Ffox%2F", asking()),
                 "exported": (plain, "some/where/", asking()),
                 "embedded": (own, "", asking()),
+                "of npm": (own, "web/out/examples/", asking()),
                 "list": (many, "", asking(widths=[390, 768, 1280])),
                 "exported list": (plain, "site/", asking(widths=[390, 768, 1280])),
                 "used": (own, "page/player.html?src=/scenes/fox/", ""),
@@ -46,7 +48,7 @@ def seen(tmp_path_factory):
     return {name: (f"127.0.0.1:{pages[name][0]}", one.report) for name, one in zip(pages, visits, strict=True)}
 
 
-@pytest.mark.parametrize("page", ["of the server", "exported", "embedded"])
+@pytest.mark.parametrize("page", ["of the server", "exported", "embedded", "of npm"])
 def test_it_plays_and_asks_only_the_server_it_came_from(seen, page):
     server, report = seen[page]
     assert report["frames"] >= 3
@@ -111,6 +113,7 @@ def ray(camera, x, y, width=480, height=270):
 def hand(demo_package, tmp_path_factory):
     """What a hand does to a package of the embedded scene and to a still (web/test/pages/hand.ts), and pictures."""
     build_pages()
+    build_pages("examples")
     shots = tmp_path_factory.mktemp("shots")
     folders = {"web": WEB, "page": SHIPPED, "scenes": demo_package.parent, "valid": VALID}
     with serve(folders, {"/page/player.html": shipped_page("hand")}) as site:
