@@ -78,6 +78,7 @@ from airgs_codec.package.region import (
 from airgs_codec.package.publish import set_view
 from airgs_codec.inspect.validate import exceeded, validate, validate_files
 from airgs_codec.inspect.errors import measure_errors
+from airgs_codec.inspect.stiff import stiff_cases
 from airgs_codec.inspect.summary import describe_left_out, format_ladder, format_summary, plot_ladder, summarise
 from airgs_codec.inspect.compare import (
     LABEL, comparable, compare_streams, compare_two, compared_views, comparison_json, difference_gain, format_two,
