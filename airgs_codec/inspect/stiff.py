@@ -8,7 +8,7 @@ from airgs_codec.decoder.decode import decode
 from airgs_codec.package.layout import DELTA, KEYFRAME
 from airgs_codec.package.package import Package
 
-THIN = 100  # times as long as thin
+NEEDLE = 100  # times as long as thin
 CLEAR, SOLID = 1 / 255, 0.99  # of α: a picture of 8 bits shows less; its logit grows without end
 WIDE = 1e4  # sizes from the middle
 
@@ -30,12 +30,12 @@ def stiff_cases(package: Package) -> list[str]:
             for name, bound in zip(attributes, table.max_error, strict=True):
                 bounds[name] = max(bounds[name], bound)
     size = np.exp(g.log_scales.max(axis=1))
-    thin = np.ptp(g.log_scales, axis=1) > np.log(THIN)
+    thin = np.ptp(g.log_scales, axis=1) > np.log(NEEDLE)
     ends = (g.opacities() < CLEAR) | (g.opacities() > SOLID)
     moved = np.linalg.norm(later.means - g.means, axis=1) > size if len(later) == len(g) else np.zeros(len(g), bool)
     away = np.linalg.norm(g.means - np.median(g.means, axis=0), axis=1) > WIDE * np.median(size)
     cases = [
-        (thin, f"over {THIN} times as long as thin; sizes are right to {np.expm1(bounds['log_scales']):.0%}"
+        (thin, f"over {NEEDLE} times as long as thin; sizes are right to {np.expm1(bounds['log_scales']):.0%}"
                f", axes to {bounds['quaternions']:.2g} radians"),
         (ends, f"hardly seen or almost solid; opacity is right to {bounds['opacity']:.2g}"),
         (moved, f"moving by more than their size in a frame; positions are right to {bounds['means']:.2g} "

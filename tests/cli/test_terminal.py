@@ -110,7 +110,7 @@ MISTAKES = {  # words that follow those of the command, and what is said of them
         "--certificate chain.pem": "expected --certificate and --key together",
         "--certificate chain.pem --key key.pem": "chain.pem: expected a PEM certificate",
     },
-    "serve": {"scene": "expected"},
+    "serve": {"none": "none: "},
     "train BLOBS -o m": {
         "--frames 3:9": "frames inside 0:5", "--frames x": "expected A:B", "--hold-out cam99": "no camera cam99",
         "--iterations 5": "expected FIRST,KEY,FRAME", "--budget 0": "budget of at least 1",
