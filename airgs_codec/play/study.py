@@ -111,19 +111,16 @@ def run_study(package: str | Path, settings: StudySettings, progress: Progress =
     progress("sessions", 0, len(settings.traces))
     # A fork has no threads, and clients of object stores live on them.
     with ProcessPoolExecutor(settings.jobs, multiprocessing.get_context("spawn")) as pool:
-        for done, some in enumerate(pool.map(_one_trace, repeat(package), settings.traces, repeat(settings)), 1):
+        for done, some in enumerate(pool.map(sessions, repeat(package), settings.traces, repeat(settings)), 1):
             rows += some
             progress("sessions", done, len(settings.traces))
     return Study(settings, Path(package).name, tuple(rows))
 
 
-def _one_trace(package: str | Path, name: str, settings: StudySettings) -> list[Row]:
-    return sessions(Offers.of(open_package(package)), Trace.open(name), settings)
-
-
-def sessions(c: Offers, whole: Trace, settings: StudySettings) -> list[Row]:
+def sessions(package: str | Path | Offers, name: str, settings: StudySettings) -> list[Row]:
     """Return a row for every session over a trace."""
-    rows = []
+    c = package if isinstance(package, Offers) else Offers.of(open_package(package))
+    whole, rows = Trace.open(name), []
     rules = replace(settings.session, loops=c.loops(settings.session.loops))
     for offset in offsets_of(whole, settings.offsets, settings.seed):
         trace = replace(whole.cut(offset, settings.scale), end=settings.end)
@@ -150,13 +147,9 @@ class Interval(NamedTuple):
     low: float
     high: float
 
-    def __str__(self) -> str:
-        return f"{self.low:.2f} to {self.high:.2f}"
-
     def sign(self, groups: Sequence[str]) -> int:
         """Return 1 or -1 where a mean is beyond its error, over enough different groups, else 0."""
-        enough = len(set(groups)) >= SURE_TRACES
-        return enough * int((self.low > 0) - (self.high < 0))
+        return (len(set(groups)) >= SURE_TRACES) * ((self.low > 0) - (self.high < 0))
 
 
 def interval(values: NDArray[np.float64], groups: Sequence[str]) -> Interval:
@@ -230,21 +223,23 @@ def study_answer(study: Study) -> dict[str, str]:
     best, *_ = ranked = sorted(players, key=lambda p: -float(np.nan_to_num(goodness[p]).mean()))
     traces = [row["trace"] for row in study.rows if row["policy"] == best]
 
-    def lead(one: str, other: str) -> tuple[Interval, bool]:
-        found = interval(goodness[one] - goodness[other], traces)
-        return found, found.sign(traces) > 0
+    def lead(one: str, other: str) -> Interval:
+        return interval(goodness[one] - goodness[other], traces)
 
-    take = DEFAULT_POLICY if DEFAULT_POLICY in players and not lead(best, DEFAULT_POLICY)[1] else best
+    take = DEFAULT_POLICY if DEFAULT_POLICY in players and lead(best, DEFAULT_POLICY).sign(traces) < 1 else best
     waits, mean_db = 100 * study.of(take, "stall_ratio").mean(), interval(study.of(take, "psnr_mean"), traces).mean
     shows = f"shows {mean_db:.1f} dB and" if measured else "shows what was not measured, and"
     good = [f"{take} {shows} waits {waits:.1f} % of the time on {len(traces)} links."]
     for other in [p for p in ranked if p != take][:1]:
-        found, sure = lead(take, other)
+        found = lead(take, other)
+        span = f"{found.low:.2f} to {found.high:.2f} over traces"
         words = (
             f"Its QoE (quality less changes and 2 dB for a hundredth of waiting) is {found.mean:.2f} dB above that of"
         )
         words = words if measured else f"It waits {found.mean:.1f} % less than"
-        good.append(f"{words} {other}, the next ({found} over traces)." if sure else f"{NONE} to {other} ({found}).")
+        good.append(
+            f"{words} {other}, the next ({span})." if found.sign(traces) > 0 else f"{NONE} to {other} ({span})."
+        )
     change = f"Stay with {take}, the default." if take == DEFAULT_POLICY else f"Play with --policy {take}."
     if len(set(traces)) < SURE_TRACES and len(players) > 1:
         change = f"Give {SURE_TRACES} --traces or more: fewer tell nothing for sure. {change}"

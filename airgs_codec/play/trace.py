@@ -8,7 +8,6 @@ import math
 import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import accumulate, pairwise
@@ -30,7 +29,7 @@ DEFAULT_RTT_S = 0.08  # median ping of LTE driving measurements
 LONGEST_S = 86_400.0  # of one batch: a stall is counted in frames, and those of years fill the memory
 PHONE_BPS = 1e9  # more in a second of a file is a mistaken unit
 RATE_UNIT = re.compile(r"(?<![A-Za-z])([kKmMgG]?)(b|B|bits?|bytes?)(?:ps|/s|_(?:per_)?s)")
-RATE, UPLOAD = re.compile(r"throughput|bandwidth|rate|download|downlink|^dl"), re.compile(r"ul_|up")
+RATE, UPLOAD = re.compile("throughput|bandwidth|rate|downl|dl_|bps|b/s|bits?|byte"), re.compile("ul|up")
 MOST_BPS = 1e19  # beyond, the bound of a session has numbers that HiGHS takes for infinite
 TRACE_ENDS = ("loop", "hold", "error")  # what follows the last second: the first one, the last rate, or nothing
 
@@ -246,9 +245,7 @@ def _read_rows(name: str, lines: Sequence[str]) -> Trace:
     mark = next((mark for mark in ",;\t" if mark in lines[0]), "")
     rows = list(csv.reader(lines, delimiter=mark)) if mark else [line.split() for line in lines]
     when, second, what, bps = 0, 1.0, 1, 1e6
-    try:
-        _moment(rows[0][0])
-    except ValueError:
+    if rows[0][0].strip()[:1].isalpha():
         when, second, what, bps = _columns([cell.strip() for cell in rows.pop(0)])
     readings: dict[float, list[float]] = {}
     for row in rows:
@@ -263,20 +260,20 @@ def _read_rows(name: str, lines: Sequence[str]) -> Trace:
 
 def _columns(names: Sequence[str]) -> tuple[int, float, int, float]:
     """Return which column has times, its unit in seconds, which one has rates, and its unit in bit/s."""
-    units = {i: unit for i, n in enumerate(names) if (unit := RATE_UNIT.search(n) or RATE_UNIT.search(n.lower()))}
     times = [i for i, n in enumerate(names) if re.match("time|date|sec|elapsed|t(_|$)", n.lower())]
-    rates = [i for i, n in enumerate(names) if (i in units or RATE.search(n.lower())) and not UPLOAD.match(n.lower())]
+    rates = [i for i, n in enumerate(names) if RATE.search(n.lower()) and not UPLOAD.match(n.lower())]
     if not times or not rates:
         raise ValueError(f"no columns such as time_s and throughput_mbps in {','.join(names)[:60]!r}")
-    bps = 1e3 if names[rates[0]] == "DL_bitrate" else 1e6  # as G-NetTrack has it, and as files without names
-    if unit := units.get(rates[0]):
+    time, rate = names[times[0]].lower(), names[rates[0]]
+    bps = 1e3 if rate == "DL_bitrate" else 1e6  # as G-NetTrack has it, and as files without names
+    if unit := RATE_UNIT.search(rate) or RATE_UNIT.search(rate.lower()):
         bps = {"": 1.0, "k": 1e3, "m": 1e6, "g": 1e9}[unit[1].lower()] * (8 if unit[2][:2] in ("B", "by") else 1)
-    return times[0], 1e-3 if re.search("(_|[^a-z])ms([^a-z]|$)|milli", names[times[0]].lower()) else 1.0, rates[0], bps
+    return times[0], 1e-3 if re.search("[^a-z]ms([^a-z]|$)|milli", time) else 1.0, rates[0], bps
 
 
 def _moment(text: str) -> float:
     """Return the seconds that a number, ISO 8601 or a stamp of G-NetTrack says; without a zone, summer time is none."""
-    with suppress(ValueError):
+    if not re.search("_|[0-9]-[0-9]", text):
         return float(text)
     stamp = datetime.strptime(text, "%Y.%m.%d_%H.%M.%S") if "_" in text else datetime.fromisoformat(text.strip())
     return (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp()

@@ -114,7 +114,7 @@ def study(values, traces=8, feasible=True, measured=True, luck=()):
                                      "1.00 dB above that of paper, the next", "Play with --policy bola."], [NONE]),
     (study({"robust-mpc": 40.0, "bola": 38.0}), ["2.00 dB above that of bola", "Stay with robust-mpc, the default."],
      ["Play with", "--levels", NONE]),
-    (study(BOLA, traces=2), [f"{NONE} to bola (-2.00 to -2.00)", "Give 6 --traces", "Stay with"], ["Play"]),
+    (study(BOLA, traces=2), [f"{NONE} to bola (-2.00 to -2.00 over traces)", "Give 6 --traces", "Stay with"], ["Play"]),
     # It does better on all traces but one, where it does much worse.
     (study(BOLA, luck={"bola": (0, -9.0)}), [f"{NONE} to bola", "Stay with"], ["above", "Play with", "Give"]),
     # Of a package that was not measured waiting alone is told.

@@ -130,14 +130,14 @@ def test_mahimahi_counts_packets_in_each_millisecond(tmp_path):
 @pytest.mark.parametrize(("content", "words"), [
     ("\n\n", "empty"), (b"\xff\xfe\x00garbage", "cannot read"),
     *((text, "expected rows of times") for text in ("hello\nworld\n", "[1, 2]", "[]", "[{", "0,1\n1,fast\n")),
-    ("Timestamp,DL_bitrate\nyesterday,5\n", "isoformat"), ("DL_bitrate\n5\n", "no columns such as time_s"),
+    ("Timestamp,DL_bitrate\nyesterday,5\n", "yesterday"), ("DL_bitrate\n5\n", "no columns such as time_s"),
     *((f"Timestamp,DL_bitrate\n{row}", "no readings") for row in ("", "2017.12.04_15.24.12,-\n")),
     ("Timestamp,DL_bitrate\n" + "5" * 200_000, "field larger"), ("[" * 100_000, "recursion"),
     ('[{"duration_ms": 500}]', "bandwidth_kbps"),
     ('[{"bandwidth_kbps": 1, "duration_ms": 1' + "0" * 400 + "}]", "too large"),
     ("time_s,mbps\n", "no readings"), ("time_s,mbps\n0,1\n1\n", "no rate in '1'"),
     *((text, "less than 1 Gbit/s of a phone, got 3: name its unit") for text in ("0,40\n1,3000\n", "time,mbps\n0,3e3")),
-    *((text, "ascend") for text in ("1,1\n0,2\n", "nan,1\n1,2\n", "5\n3\n")),
+    *((text, "ascend") for text in ("1,1\n0,2\n", "0,1\nnan,2\n", "5\n3\n")),
     ("0,-1\n1,2\n", "0 or more"), ("0,nan\n1,2\n", "finite"), ("0,0\n1,0\n", "zero all the time"),
     ("99999999999999999\n", "more than a day"),
 ])  # fmt: skip
