@@ -133,7 +133,7 @@ from airgs_codec.play.study import (
 )  # fmt: skip
 from airgs_codec.play.session import SessionLog, play, session_bound, simulate
 from airgs_codec.play.policies import (
-    ADAPTIVE, Coming, Download, POLICY_NAMES as NAMES, PlayerState, Policy, STALL_DB, estimate_throughput, make_policy,
+    ADAPTIVE, Coming, Download, POLICY_NAMES as NAMES, PlayerState, Policy, estimate_throughput, make_policy,
 )  # fmt: skip
 from airgs_codec.play.bound import Slot, solve_horizon
 

@@ -39,7 +39,7 @@ from airgs_codec.play.trace import DEFAULT_RTT_S, TRACE_ENDS, Link, Trace
 from airgs_codec.render.backend import open_renderer
 
 COMPARED = (DEFAULT_POLICY, *(name for name in POLICY_NAMES if name not in (DEFAULT_POLICY, "oracle-lp")))
-TRACES = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBPS or markov:SEED[:MBPS]"
+TRACES = "a file (rows of times and rates, sabre JSON, mahimahi), const:MBPS or markov:SEED[:MBPS]"
 
 
 @as_options

@@ -116,11 +116,15 @@ MEASUREMENTS = (
     ),
     Measurement(
         "work-precision", "work_precision",
-        "work-precision --spinach spinach_4.splatv --traces raca2018_4g_car/",
+        "work-precision --spinach spinach_4.splatv --traces raca2018_4g_car/ norway2013_3g/ ghent2016_4g/",
     ),
     Measurement("stiff", "stiff", "stiff"),
     Measurement("extremes", "numerics", "extremes"),
-    Measurement("streaming", "streaming", "streaming raca2018_4g_car/ fox/ spinach_4.splatv=spinach_views.json"),
+    Measurement(
+        "streaming", "streaming",
+        "streaming fox/ talk/ --links 'car LTE=raca2018_4g_car' 'Norwegian 3G=norway2013_3g' "
+        "'Ghent 4G, a tenth=ghent2016_4g@0.1'",
+    ),
     Measurement(
         "viewpoints",
         "views",
