@@ -32,7 +32,7 @@ from airgs_codec.progress import Progress, silent
 
 FEASIBLE_START_S = 2.0  # start-up by which the smallest rungs must play without a stall
 RESAMPLES = 2000
-NONE = "No difference found"  # beyond its error
+NOT_SEEN = "No difference found"  # beyond its error
 SURE_TRACES = 6  # with fewer, all on one side are chance more than once in twenty times (sign test)
 Row = dict[str, Any]  # what is known of one session or run, by name
 HEADLINES: dict[str, tuple[str, Form]] = {
@@ -238,7 +238,7 @@ def study_answer(study: Study) -> dict[str, str]:
         )
         words = words if measured else f"It waits {found.mean:.1f} % less than"
         good.append(
-            f"{words} {other}, the next ({span})." if found.sign(traces) > 0 else f"{NONE} to {other} ({span})."
+            f"{words} {other}, the next ({span})." if found.sign(traces) > 0 else f"{NOT_SEEN} to {other} ({span})."
         )
     change = f"Stay with {take}, the default." if take == DEFAULT_POLICY else f"Play with --policy {take}."
     if len(set(traces)) < SURE_TRACES and len(players) > 1:
