@@ -71,9 +71,9 @@ class Measurement:
 PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
 MEASUREMENTS = (
     Measurement(
-        "scenes", "README",
-        "scenes fox/=fox/transforms.json head/ spinach_4.splatv=spinach_views.json "
-        "basketball/=basketball/transforms.json coffee10.splatv kinoptic/=kinoptic/transforms.json",
+        "scenes", "size",
+        "scenes talk/ fox/=fox/transforms.json kinoptic/=kinoptic/transforms.json coffee10.splatv "
+        "basketball/=basketball/transforms.json head/ spinach_4.splatv=spinach_views.json",
     ),
     Measurement(
         "rd-fox", "size",
@@ -92,7 +92,7 @@ MEASUREMENTS = (
         "rd-talk", "size", f"rd talk/ talk/transforms.json --at 43 --targets 47 45 43 41 39 37 {PEERS}"
     ),
     Measurement(
-        "rivals", "baselines",
+        "rivals", "size",
         "rivals fox/=fox/transforms.json head10/=head_views.json spinach10/=spinach_views.json",
     ),
     Measurement("static", "size", "static donut_fused.ply kacytran_iter7000.ply playbot/3_0"),
@@ -115,15 +115,20 @@ MEASUREMENTS = (
         "splits kinoptic_views/ --splits 4 --hold 2 --only 1 2 --frames 0:10 '--train=--max-size 480'",
     ),
     Measurement(
-        "work-precision", "work_precision",
+        "work-precision", "time",
         "work-precision --spinach spinach_4.splatv --traces raca2018_4g_car/ norway2013_3g/ ghent2016_4g/",
     ),
-    Measurement("stiff", "stiff", "stiff"),
+    Measurement("stiff", "numerics", "stiff"),
     Measurement("extremes", "numerics", "extremes"),
     Measurement(
         "streaming", "streaming",
         "streaming fox/ talk/ --links 'car LTE=raca2018_4g_car' 'Norwegian 3G=norway2013_3g' "
         "'Ghent 4G, a tenth=ghent2016_4g@0.1'",
+    ),
+    Measurement(
+        "link", "streaming",
+        "link talk/ raca2018_4g_car/A_2017.12.04_15.24.12.csv raca2018_4g_car/A_2017.12.06_13.01.21.csv "
+        "raca2018_4g_car/A_2017.12.07_08.08.44.csv",
     ),
     Measurement(
         "viewpoints",
@@ -160,6 +165,7 @@ MEASUREMENTS = (
     Measurement("pace", "time", "pace fox/ fox_cameras/ head/ --trees 3a92d83c now"),
     Measurement("scale", "time", "scale"),
     Measurement("jobs", "time", "jobs"),
+    Measurement("soak-farm", "time", "soak-farm --groups 60 --kills 12"),
 )  # fmt: skip
 
 # Measurements whose experiments are gone: their pages stay as published, with the commit that has the code.

@@ -1,6 +1,7 @@
-"""What an experiment gives: sections of words, pictures and tables; in Markdown with pictures and JSON beside it.
+"""What an experiment gives: pictures and tables; in Markdown with pictures and JSON beside it.
 
-`write_page` makes its files, `text_of` what the terminal shows, `update` puts it into a document.
+`write_page` makes its files, `text_of` what the terminal shows, `update` puts it into a document, whose sentences are
+written by hand.
 """
 
 from __future__ import annotations
@@ -8,19 +9,17 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
-import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from airgs_codec import _report
-from airgs_codec._report import Section, Table
+from airgs_codec._report import PagePicture, Section, Table
 from airgs_codec.errors import ConfigError
 from airgs_codec.places.whole import write_bytes, write_json
 
-WIDTH = 120  # of lines of text
 COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#8c564b", "#17becf", "#7f7f7f")
 Row = dict[str, Any]
 listed = partial(_report.listed, most=sys.maxsize)
@@ -30,12 +29,11 @@ listed = partial(_report.listed, most=sys.maxsize)
 class Page:
     """What an experiment gives; `failed`: what ought to be true was found not to be."""
 
-    sections: Sequence[Section]
-    how: str = ""  # it was measured
+    sections: Sequence[Section]  # their words are for the terminal alone
+    how: str = ""  # it was measured, for the terminal and figures.json
     failed: bool = False
     more: Mapping[str, Any] = field(default_factory=dict)  # figures for the JSON alone
     data: Sequence[Table] = ()  # what pictures are drawn from, for the JSON and files alone
-    brief: Sequence[Table] = ()  # what the README shows of it
 
     def tables(self) -> list[Table]:
         """All tables, those that the page does not show last."""
@@ -54,45 +52,28 @@ class Made:
     format: int  # of packages
 
     def said(self) -> str:
-        return f"Measured {self.date} in {self.seconds:,.0f} s, commit {self.commit}, format {self.format}."
+        took = f"{self.date}, {self.seconds:,.0f} s"
+        return f"Measured {took}, commit {self.commit}, format {self.format}, `{self.name}`."
 
 
 def rows_of(values: Iterable[Any]) -> list[Row]:
     return [dataclasses.asdict(value) for value in values]
 
 
-def wrapped(text: str) -> str:
-    """Paragraphs, or items of a list, a line each, in lines of at most WIDTH characters."""
-    plain = textwrap.TextWrapper(WIDTH, break_long_words=False, break_on_hyphens=False)
-    item = textwrap.TextWrapper(WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
-    return "\n".join((item if line.startswith("- ") else plain).fill(line) for line in text.split("\n"))
-
-
 def text_of(page: Page) -> str:
-    lines: list[str] = []
-    for section in page.sections:
-        lines += [wrapped(f"{section.question} {section.answer}".strip())]
-        for one in (one for one in section.tables if one.rows):
-            lines += ["", one.to_text()]
-        lines.append("")
-    return "\n".join(lines).rstrip()
+    lines = [page.how, *(words for one in page.sections for words in (one.question, one.answer))]
+    lines += [f"\n{one.to_text()}" for section in page.sections for one in section.tables if one.rows]
+    return "\n".join(filter(None, lines))
 
 
 def body_of(page: Page, made: Made) -> str:
-    return "\n\n".join(_parts(page, made))
+    pictures = [picture_link(one) for section in page.sections for one in section.pictures]
+    tables = [markdown_table(one) for section in page.sections for one in section.tables if one.rows]
+    return "\n\n".join([*pictures, *tables, made.said()])
 
 
-def _parts(page: Page, made: Made) -> Iterator[str]:
-    if page.how:
-        yield wrapped(page.how)
-    for section in page.sections:
-        if section.question:
-            yield f"## {section.question}"
-        yield from (f"![{picture.caption}]({picture.name}.png)" for picture in section.pictures)
-        if section.answer:
-            yield wrapped(section.answer)
-        yield from (markdown_table(one) for one in section.tables if one.rows)
-    yield wrapped(made.said())
+def picture_link(one: PagePicture) -> str:
+    return f"![{one.caption}]({one.name}.png)"
 
 
 def markdown_table(one: Table) -> str:

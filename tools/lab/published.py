@@ -2,31 +2,44 @@
 
 `python -m tools.lab publish DATA` runs the commands of `MEASUREMENTS` in a folder of scenes. Each puts its page between
 its marks in a document, its pictures beside that, and its figures into figures.json, with the command, the machine, the
-commit, the date and the seconds that they took. A number of these documents that no figure has is found by `unsourced`.
+commit, the date and the seconds that they took. Sentences are written by hand, around the marks: `unsourced` finds a
+number that no figure has, `unchecked` a comparison that no figure is asked about.
+
+A comparison is followed by a comment such as `<!-- true: max(rd-fox[airgs].kb) < rd-fox[!airgs].kb -->`, which
+`holds` evaluates. NAME[CELLS].COLUMN is the column of the rows of a table that have all CELLS, parted by semicolons,
+and none of those with a !; without CELLS of all rows. NAME is a measurement, whose table of this name or first table is
+meant, or a table. What is not a letter or a digit in the name of a column is an underscore. Of several values all must
+be so.
 """
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import datetime
 import json
+import operator
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import reduce
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.errors import ConfigError
 from airgs_codec.places.whole import to_json, write_bytes
 from tools.lab.experiments import MEASUREMENTS, NO_LONGER_MEASURED, Measurement
-from tools.lab.page import Made, Page, Table, body_of, markdown_table, update
+from tools.lab.page import Made, Page, Table, body_of, markdown_table, picture_link, update
 
 REPOSITORY = Path(__file__).parents[2]
 RESULTS = REPOSITORY / "docs" / "results"
 FIGURES = RESULTS / "figures.json"
 README = REPOSITORY / "README.md"
-ANSWERS = "answers"  # the marks of what the first page of results shows
-SENTENCE = re.compile(r"(?<=\.) (?=[A-Z])")  # its end
 CODE = ("airgs_codec", "tools", "web/src")  # what a measurement depends on
 LINE = 110  # characters of a value that stay on one line of figures.json
 NOT_PROSE = re.compile(r"```.*?```|`[^`]*`|<!--.*?-->|\]\([^)]*\)", re.DOTALL)
@@ -39,45 +52,42 @@ NUMBER = re.compile(r"(?<![\w.,^#-])\d[\d,]*(?:\.\d+)?(?:e-?\d+)?(?!\w)")
 
 
 def publish(measurement: Measurement, page: Page, made: Made, pictures: Path) -> None:
-    """Put a page into its document, its pictures beside it, and its figures into figures.json.
+    """Put a page between its marks in documents, its pictures beside them, and its figures into figures.json.
 
-    README gets what is brief of pages that it has marks for.
-
-    `pictures`: the folder where they are. Raises ConfigError where the document has no marks for it, OSError.
+    Marks of NAME get all that the page shows, those of NAME/PART+PART tables or pictures of these names. `pictures`:
+    the folder where they are. Raises OSError.
     """
-    update(RESULTS / f"{measurement.document}.md", made.name, body_of(page, made))
-    if page.brief and f"tools.lab {made.name}: begin" in README.read_text(encoding="utf-8"):
-        update(README, made.name, "\n\n".join(map(markdown_table, page.brief)))
-    for picture in (picture for section in page.sections for picture in section.pictures):
-        shutil.copyfile(pictures / f"{picture.name}.png", RESULTS / f"{picture.name}.png")
-    entries = read_figures() | {made.name: entry(measurement, page, made)}
+    shown = {one.name: picture_link(one) for section in page.sections for one in section.pictures}
+    parts = {one.name: markdown_table(one) for one in page.tables()} | shown
+    wanted = [(path, mark) for path in documents() for mark in marks_in(path) if mark.partition("/")[0] == made.name]
+    for path, mark in wanted:
+        names = [part for part in mark.partition("/")[2].split("+") if part]
+        text = "\n\n".join([*(parts[part] for part in names), made.said()]) if names else body_of(page, made)
+        update(path, mark, text)
+    new = entry(measurement, page, made)
+    new["pictures"] = [name for name in shown if any(f"{name}.png)" in path.read_text() for path, _ in wanted)]
+    for name in new["pictures"]:
+        shutil.copyfile(pictures / f"{name}.png", RESULTS / f"{name}.png")
+    entries = read_figures() | {made.name: new}
     order = [*(one.name for one in MEASUREMENTS), *NO_LONGER_MEASURED]
-    kept = {name: entries[name] for name in order if name in entries}
-    write_bytes(FIGURES, ("\n".join(lines_of(kept)) + "\n").encode())
-    update(RESULTS / "README.md", ANSWERS, markdown_table(answers_of(kept)))
+    write_figures({name: entries[name] for name in order if name in entries})
 
 
-def answers_of(entries: Mapping[str, Any]) -> Table:
-    """The pages of results, each with the first sentence of the first answer that was published of it."""
-    rows, texts = [], {one.document: "" for one in MEASUREMENTS if one.document != "README"}
-    for one in entries.values():
-        if one["answers"] and one["document"] != "README" and not texts.get(one["document"]):
-            texts[one["document"]] = SENTENCE.split(one["answers"][0])[0]
-    for document, answer in texts.items():
-        title = (RESULTS / f"{document}.md").read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
-        rows.append({"question": f"[{title}]({document}.md)", "answer": answer})
-    return Table(ANSWERS, rows)
+def documents() -> list[Path]:
+    return [README, *sorted(RESULTS.glob("*.md"))]
+
+
+def marks_in(path: Path) -> list[str]:
+    return MARK.findall(path.read_text(encoding="utf-8"))
 
 
 def entry(measurement: Measurement, page: Page, made: Made) -> dict[str, Any]:
-    """What figures.json says of a measurement: how it was made, its answers, and the rows of its tables."""
+    """What figures.json says of a measurement: how it was made, and the rows of its tables."""
     how = {name: value for name, value in dataclasses.asdict(made).items() if name != "name"}
-    pictures = [picture.name for section in page.sections for picture in section.pictures]
     tables = {one.name: _columns(one) for one in page.tables()}
     how["seconds"] = round(made.seconds, 1)
-    answers = [section.answer for section in page.sections if section.answer]
-    more = {"document": measurement.document} | how | {"how": page.how, "answers": answers}
-    return more | {"pictures": pictures, "more": dict(page.more), "tables": tables}
+    more = {"document": measurement.document} | how | {"how": page.how}
+    return more | {"pictures": [], "more": dict(page.more), "tables": tables}
 
 
 def _columns(table: Table) -> dict[str, Any]:
@@ -112,6 +122,10 @@ def read_figures() -> dict[str, Any]:
     return dict(json.loads(FIGURES.read_text(encoding="utf-8"))) if FIGURES.exists() else {}
 
 
+def write_figures(entries: Mapping[str, Any]) -> None:
+    write_bytes(FIGURES, ("\n".join(lines_of(entries)) + "\n").encode())
+
+
 def today_and_commit() -> tuple[str, str]:
     """Return the date, and the commit of the code, with a + where it has changed since."""
     head = _git("rev-parse", "--short", "HEAD")
@@ -126,10 +140,11 @@ def unsourced(text: str, entries: Mapping[str, Any]) -> list[str]:
     """The numbers of the prose and the tables of a document that are in no entry, as they are shown.
 
     A number is in an entry if a figure of it has the same digits when it is rounded as the number is, as it is or in
-    percent, or if an answer of it or its command says it. Code, links and names with numbers in them are no figures.
+    percent, or if its command, a text of it or a check of the document says it. Code, links and names with numbers in
+    them are no figures.
     """
     prose = NAME.sub(" ", NOT_PROSE.sub(" ", text))
-    values, said = set(), set()
+    values, said = set(), set(NUMBER.findall(" ".join(CHECK.findall(text))))
     for one in entries.values():
         for leaf in _leaves(one):
             if isinstance(leaf, str):
@@ -156,3 +171,83 @@ def _leaves(value: Any) -> Iterator[Any]:
             yield from _leaves(part)
     else:
         yield value
+
+
+MARK = re.compile(r"<!-- tools\.lab (\S+): begin -->")
+MARKED = re.compile(r"<!-- tools\.lab (\S+): begin -->.*?<!-- tools\.lab \1: end -->", re.DOTALL)
+CHECK = re.compile(r"<!--\s+true:\s(.*?)\s-->", re.DOTALL)
+COMPARES = re.compile(r"\b(more|less|fewer|better|worse|than|times|twice|faster|slower|larger|smaller)\b")
+SENTENCES = re.compile(r"(?<=[.?!])\s+(?!✓)|\n(?=[|-])")
+REFERENCE = re.compile(r"([a-z][\w-]*)(?:\[([^\]]*)\])?\.(\w+)")
+OPERATORS: dict[type, Callable[..., Any]] = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
+    ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt, ast.GtE: operator.ge, ast.Eq: operator.eq,
+    ast.NotEq: operator.ne, ast.USub: operator.neg, ast.And: np.logical_and,
+}  # fmt: skip
+FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "min": np.min,
+    "max": np.max,
+    "sum": np.sum,
+    "count": np.sum,
+    "mean": np.mean,
+    "abs": np.abs,
+}
+
+
+def unchecked(text: str) -> list[str]:
+    """The sentences, items and rows written by hand in a document that compare and that no check follows."""
+    prose = CHECK.sub("✓", re.sub(r"```.*?```|`[^`]*`", "", MARKED.sub("", text), flags=re.DOTALL))
+    parts = [part for paragraph in prose.split("\n\n") for part in SENTENCES.split(paragraph)]
+    return [part for part in parts if COMPARES.search(part) and "✓" not in part and not part.startswith("#")]
+
+
+def holds(check: str, entries: Mapping[str, Any]) -> bool:
+    """Return whether a check is true of figures. Raises ConfigError for what is not there, or no such expression."""
+    values: dict[str, Any] = {}
+
+    def column(match: re.Match[str]) -> str:
+        values[name := f"v{len(values)}"] = _column(entries, *match.groups())
+        return name
+
+    try:
+        return bool(np.all(_value(ast.parse(REFERENCE.sub(column, " ".join(check.split())), mode="eval").body, values)))
+    except (SyntaxError, KeyError, TypeError) as error:
+        raise ConfigError(f"{check}: expected comparisons of columns, got {error}") from error
+
+
+def _column(entries: Mapping[str, Any], name: str, cells: str | None, column: str) -> NDArray[Any]:
+    tables = entries[name]["tables"] if name in entries else {}
+    for one in entries.values() if not tables else ():
+        tables = tables or {key: table for key, table in one["tables"].items() if key == name}
+    if not tables:
+        raise ConfigError(f"{name}: no such measurement or table")
+    table = tables.get(name) or next(iter(tables.values()))
+    at = {re.sub(r"\W+", "_", key): number for number, key in enumerate(table["columns"])}
+    wanted = [cell.strip() for cell in (cells or "").split(";") if cell]
+    found = [
+        row for row in table["rows"] if all((cell.lstrip("!") in map(str, row)) != (cell[0] == "!") for cell in wanted)
+    ]
+    if not found:
+        raise ConfigError(f"{name}[{cells}]: no such row")
+    return np.array([np.nan if row[at[column]] is None else row[at[column]] for row in found])
+
+
+def _value(node: ast.AST, values: Mapping[str, Any]) -> Any:
+    match node:
+        case ast.Constant(value=value):
+            return value
+        case ast.Name(id=name):
+            return values[name]
+        case ast.UnaryOp(op=op, operand=operand):
+            return OPERATORS[type(op)](_value(operand, values))
+        case ast.BinOp(left=left, op=op, right=right):
+            return OPERATORS[type(op)](_value(left, values), _value(right, values))
+        case ast.BoolOp(op=op, values=parts):
+            return reduce(OPERATORS[type(op)], (np.all(_value(part, values)) for part in parts))
+        case ast.Compare(left=left, ops=ops, comparators=others):
+            sides = [_value(one, values) for one in (left, *others)]
+            pairs = zip(ops, pairwise(sides), strict=True)
+            return reduce(np.logical_and, (OPERATORS[type(op)](*two) for op, two in pairs))
+        case ast.Call(func=ast.Name(id=name), args=[argument]):
+            return FUNCTIONS[name](_value(argument, values))
+    raise TypeError(ast.dump(node))

@@ -2,8 +2,8 @@
 
 import json
 import math
+import re
 import shlex
-from dataclasses import replace
 
 import pytest
 
@@ -18,38 +18,67 @@ from tools.lab.rd.subject import RdPoint, bd_rate, kb_at
 
 PAGES = sorted(published.RESULTS.glob("*.md"))
 ENTRY = {
-    "command": "airgs-encode --levels 7", "answers": ["It takes 1.5 s, 4 of 9."], "seconds": 81.2,
-    "tables": {"a": {"columns": ["kb", "share"], "rows": [[13.84, 0.2571], [1236.4, -0.000213]]}},
+    "command": "airgs-encode --levels 7", "how": "It takes 1.5 s, 4 of 9.", "seconds": 81.2,
+    "tables": {"a": {"columns": ["kb", "share, %", "of"], "rows": [[13.84, 0.2571, "x"], [1236.4, -0.000213, None]]}},
 }  # fmt: skip
 
 
-def own(name):
-    """The entries of a page; README and the first page of results show those of all."""
-    entries = published.read_figures()
-    return entries if name == "README" else {key: one for key, one in entries.items() if one["document"] == name}
+def own(path):
+    """The entries that a page shows, asks in a check, or is the document of; README and the first page show all."""
+    text, entries = path.read_text(), published.read_figures()
+    named = {mark.partition("/")[0] for mark in published.marks_in(path)}
+    named |= {name for check in published.CHECK.findall(text) for name, _, _ in published.REFERENCE.findall(check)}
+    return {
+        key: one for key, one in entries.items()
+        if path.stem in ("README", one["document"]) or key in named or named & one["tables"].keys()
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("path", [REPOSITORY / "README.md", *PAGES], ids=lambda path: f"{path.parent.name}-{path.stem}")
 def test_every_number_of_results_is_in_the_file_of_figures(path):
-    assert published.unsourced(path.read_text(), own(path.stem)) == []
+    assert published.unsourced(path.read_text(), own(path)) == []
 
 
-def test_the_first_page_shows_an_answer_of_every_page_that_has_one():
-    entries = published.read_figures()
-    table = published.answers_of(entries)
-    assert published.markdown_table(table) in (published.RESULTS / "README.md").read_text()
-    told = {one["question"].partition("](")[2].removesuffix(".md)"): one["answer"] for one in table.rows}
-    assert told.keys() == {path.stem for path in PAGES} - {"README"}
-    assert all(told[one["document"]] for one in entries.values() if one["answers"] and one["document"] != "README")
+@pytest.mark.parametrize("path", [REPOSITORY / "README.md", *PAGES], ids=lambda path: f"{path.parent.name}-{path.stem}")
+def test_every_comparison_of_results_is_checked_and_true(path):
+    checks, entries = published.CHECK.findall(path.read_text()), published.read_figures()
+    assert [check for check in checks if not published.holds(check, entries)] == []
+    assert path not in PAGES or published.unchecked(path.read_text()) == []
+
+
+@pytest.mark.parametrize(("check", "true"), [
+    ("a.kb > 13", True), ("a.kb > 14", False), ("one[x].kb < 13.9", True), ("a[!x].kb > 1000", True),
+    ("max(a.kb) - min(a.kb) > 1222 and a[x; 13.84].share_ < 0.5*2", True), ("count(a.kb > 14) == 1", True),
+    ("abs(-a[x].kb) == 13.84 and a[x].of == 'y'", False), ("a[!x].of < 1", False),
+    ("b.kb > 1", "b: no such"), ("a[y].kb > 1", "no such row"), ("a.db > 1", "'db'"), ("a.kb >", "invalid"),
+    ("open('x') == 1", "expected comparisons"), ("().__class__ == 1", "expected comparisons"),
+])  # fmt: skip
+def test_a_check_is_true_or_false_of_figures_or_says_what_is_not_there(check, true):
+    if isinstance(true, str):
+        with pytest.raises(ConfigError, match=re.escape(true)):
+            published.holds(check, {"one": ENTRY})
+    else:
+        assert published.holds(check, {"one": ENTRY}) is true
+
+
+@pytest.mark.parametrize(("text", "found"), [
+    ("Ours takes less. <!-- true: a.kb > 1 --> It takes 3 kB.", []),
+    ("Ours takes less. It takes 3 kB. <!--\ntrue: a.kb > 1 -->", ["Ours takes less."]),
+    ("# No more\n\n```sh\nless\n```\n| a | is better |\n|---|---|", ["| a | is better |"]),
+    ("- A is\n  larger. <!-- true: a.kb > 1 -->\n- B is twice\n  that", ["- B is twice\n  that"]),
+    ("<!-- tools.lab a/b: begin -->\n|times|\n<!-- tools.lab a/b: end -->", []),
+])  # fmt: skip
+def test_a_comparison_without_a_check_is_found(text, found):
+    assert published.unchecked(text) == found
 
 
 def test_every_measurement_has_its_place_in_a_document_and_every_entry_is_made_by_its_command():
     entries = published.read_figures()
     commands = {one.name: (one.document, f"{PROGRAM} {one.words}") for one in MEASUREMENTS}
     assert len(commands) == len(MEASUREMENTS)
-    for name, (document, _) in commands.items():
-        text = (published.RESULTS / f"{document}.md").read_text()
-        assert [text.count(f"<!-- tools.lab {name}: {word} -->\n") for word in ("begin", "end")] == [1, 1], name
+    assert [
+        name for name, (document, _) in commands.items() if name not in own(published.RESULTS / f"{document}.md")
+    ] == []
     made = {name: (one["document"], one["command"]) for name, one in entries.items() if name not in NO_LONGER_MEASURED}
     assert made.items() <= commands.items()
     assert set(NO_LONGER_MEASURED) <= set(entries) and not set(NO_LONGER_MEASURED) & set(commands)
@@ -74,9 +103,14 @@ def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeyp
     folder.mkdir()
     (tmp_path / "line.png").write_bytes(b"picture")
     marks = "<!-- tools.lab {0}: begin -->\n<!-- tools.lab {0}: end -->\n"
-    (folder / "thing.md").write_text("# A thing\n" + marks.format("thing") + marks.format("second"))
-    (folder / "README.md").write_text(marks.format("answers"))
-    (tmp_path / "README.md").write_text(marks.format("thing"))
+    text = (
+        "# A thing\n![A line](line.png)\n"
+        + marks.format("thing")
+        + marks.format("other")
+        + marks.format("thing/brief+line")
+    )
+    (folder / "thing.md").write_text(text)
+    (tmp_path / "README.md").write_text(marks.format("thing/brief"))
     thing = Measurement("thing", "thing", "thing")
     instead = {"RESULTS": folder, "README": tmp_path / "README.md", "FIGURES": folder / "figures.json"}
     for name, value in (instead | {"MEASUREMENTS": (thing,)}).items():
@@ -84,25 +118,28 @@ def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeyp
     rows = [{"name": "a|b", "ms": 1.25, "ok": True, "more": 1}, {"name": "c", "ms": math.nan, "ok": False}]
     times = Table("times", rows, {"name": ("name", ""), "ms": ("ms", ".1f"), "ok": ("good", "")})
     brief = Table("brief", [{"name": "a", "ms": 1.25}], {"ms": ("time", ".2f")})
-    section = Section("It takes 1 ms.", "How long?", [PagePicture("line", "A line", lambda figure: None)], [times])
-    page = Page([section, Section("No.", "More?")], "By hand.", brief=[brief])
+    pictures = [PagePicture(name, f"A {name}", lambda figure: None) for name in ("line", "dot")]
+    page = Page(
+        [Section("It takes 1 ms.", "How long?", pictures[:1], [times]), Section("", "", pictures[1:])],
+        "By hand.",
+        data=[brief],
+    )
     made = Made("thing", "How long?", "python -m tools.lab thing", "2 cores", 3.2, "2026-11-26", "abc1234", 4)
+    (tmp_path / "dot.png").write_bytes(b"")
     published.publish(thing, page, made, tmp_path)
     assert "|time|\n|---:|\n|1.25|\n" in (tmp_path / "README.md").read_text()
-    assert "|[A thing](thing.md)|It takes 1 ms.|" in (folder / "README.md").read_text()
     assert (folder / "line.png").read_bytes() == b"picture"
-    text = (folder / "thing.md").read_text()
-    assert "It takes 1 ms." in text and "Measured 2026-11-26 in 3 s, commit abc1234, format 4." in text
+    text, said = (folder / "thing.md").read_text(), "Measured 2026-11-26, 3 s, commit abc1234, format 4, `thing`."
+    assert (
+        text.count(said) == 2 and "|1.25|\n\n![A line](line.png)\n\nMeasured" in text and "It takes 1 ms." not in text
+    )
     entry = json.loads((folder / "figures.json").read_text())["thing"]
+    assert entry["how"] == "By hand." and entry["pictures"] == ["line", "dot"]
     assert entry["tables"]["times"] == {
         "columns": ["name", "ms", "ok", "more"], "shown as": {"name": "name", "ms": "ms", "ok": "good"},
         "rows": [["a|b", 1.25, True, 1], ["c", None, False, None]],
     }  # fmt: skip
     assert published.unsourced(text, {"thing": entry}) == []
-    published.publish(Measurement("second", "thing", "second"), page, replace(made, name="second"), tmp_path)
-    assert (tmp_path / "README.md").read_text().count("|time|") == 1  # where README has no marks it shows nothing
-    with pytest.raises(ConfigError, match="other: begin"):
-        published.publish(Measurement("other", "thing", "other"), page, replace(made, name="other"), tmp_path)
 
 
 def test_only_the_command_that_documents_show_is_published():

@@ -51,7 +51,7 @@ RUNS = {  # by the names of what is published: commands, in a folder with the sc
     "pace-train": "pace views/fox --train --frames 2",
     "soak-farm": "soak-farm --groups 1 --kills 4",
 }
-UNPUBLISHED = {"devices", "link", "footage", "pace-train", "soak-farm"}
+UNPUBLISHED = {"devices", "footage", "pace-train"}
 TWINS = {"rd-spinach", "rd-talk", "tracked-fox", "paper-system", "splits-basketball", "splits-kinoptic"}
 TWINS |= {f"mechanisms-{name}" for name in ("basketball", "trainer", "motion", "exposure")}
 

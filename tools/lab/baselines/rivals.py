@@ -13,7 +13,7 @@ from pathlib import Path
 
 from airgs_codec.render import read_cameras
 from airgs_codec.scene.sequence import open_sequence
-from tools.lab import Lab, Page, Row, Section, Table, listed, required, setting
+from tools.lab import Lab, Page, Row, Section, Table, required, setting
 from tools.lab.baselines.fourdgs import Fourdgs
 from tools.lab.baselines.stream3dgs import StreamSettings
 from tools.lab.baselines.threedgs import GRADIENT, ITERATIONS, RATES, Naive3dgs
@@ -28,7 +28,6 @@ SETTINGS = {"method": ("method", ""), "what": ("setting", ""), "here": ("here", 
 COLUMNS = {"scene": ("scene", ""), "qp": ("QP", "d")} | {
     f"{form}_{unit}": (f"{form}, {words}", ".1f") for form in V3_FORMS for unit, words in (("db", "dB"), ("kb", "kB"))
 }
-CLOSE = 0.1  # dB that are no difference
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,11 +70,8 @@ def page(rows: Sequence[Row]) -> Page:
         for method, what, here, paper in settings_of()
         if here != paper
     ]
-    sections = [
-        Section("", tables=[Table("rivals", settings, SETTINGS)]),
-        Section(verdict(rows), "Which of V³'s two layouts?", tables=[Table("v3-layouts", rows, COLUMNS)]),
-    ]
-    return Page(sections)
+    tables = [Table("rivals", settings, SETTINGS), Table("v3-layouts", rows, COLUMNS)]
+    return Page([Section("", tables=tables)])
 
 
 def settings_of() -> list[tuple[str, str, float, float | str]]:
@@ -103,15 +99,3 @@ def settings_of() -> list[tuple[str, str, float, float | str]]:
 
 def shown(value: float | str) -> str:
     return value if isinstance(value, str) else f"{value:,}" if isinstance(value, int) else f"{value:g}"
-
-
-def verdict(rows: Sequence[Row]) -> str:
-    best: dict[str, list[str]] = {}
-    for scene in dict.fromkeys(row["scene"] for row in rows):
-        gains = [row[f"{V3_FORMS[1]}_db"] - row[f"{V3_FORMS[0]}_db"] for row in rows if row["scene"] == scene]
-        low, high = min(gains), max(gains)
-        form = V3_FORMS[1] if low >= -CLOSE else V3_FORMS[0] if high <= CLOSE else ""
-        most = max(abs(low), abs(high))
-        best.setdefault(form, []).append(f"{scene} (by up to {most:.1f} dB)" if form else scene)
-    words = [f"{f'the {form} one' if form else 'now one, now the other'} on {listed(best[form])}" for form in best]
-    return f"At equal QP the better layout is {listed(words)}."

@@ -15,7 +15,7 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from urllib.parse import urlencode
@@ -28,7 +28,7 @@ from airgs_codec.media.image import write_png
 from airgs_codec.media.metrics import psnr
 from airgs_codec.render import Camera, look_at, render
 from airgs_codec.scene.gaussians import SH_REST
-from tools.lab import Lab, Page, Row, Section, Table, listed, setting
+from tools.lab import Lab, Page, Row, Section, Table, setting
 from tools.lab.made import encoded, name_of
 from tools.lab.serving import served_folder
 
@@ -62,24 +62,8 @@ def run(options: Options, lab: Lab) -> Page:
     for name in options.scenes:
         place = name if name.startswith(BALL) else str(encoded(name, lab.folder))
         rows += measure(name_of(name), read_scene(place, options.rows, options.frame), options.size, lab.folder)
-    return page(rows, f"{versions()}, SwiftShader; {options.size} pixels wide.")
-
-
-def page(rows: Sequence[Row], how: str) -> Page:
-    worst = {
-        variant: listed([f"{min(_least(row, variant) for row in rows if row['engine'] == engine):.1f} ({engine})"
-                         for engine in dict.fromkeys(row["engine"] for row in rows)])
-        for variant in VARIANTS
-    }  # fmt: skip
-    answer = (
-        f"As the adapters set them, engines show every picture with at least {worst['tuned']} dB against our renderer; "
-    )
-    answer += f"as they come, with {worst['default']}."
-    return Page([Section(answer, tables=[Table("engines", rows, COLUMNS)])], how)
-
-
-def _least(row: Row, variant: str) -> float:
-    return float(min(row[variant], row[f"{variant}_close"]))
+    how = f"{versions()}, SwiftShader; {options.size} pixels wide."
+    return Page([Section("", tables=[Table("engines", rows, COLUMNS)])], how)
 
 
 def measure(name: str, scene: Scene, size: int, keep: Path) -> Iterator[Row]:

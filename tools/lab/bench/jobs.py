@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.jobs.executors import prepare_worker
 from airgs_codec.scene.sequence import open_sequence
-from tools.lab import Lab, Page, Section, Table, listed, seconds_of, setting
+from tools.lab import Lab, Page, Section, Table, seconds_of, setting
 from tools.lab.bench.soak_farm import same_files
 from tools.lab.made import make_scene
 
@@ -35,17 +34,8 @@ class Options:
 def run(options: Options, lab: Lab) -> Page:
     took = encodes(options.rows, options.frames)
     rows = [{"way": way, "seconds": seconds} for way, seconds in took.items()]
-    return Page([Section(words(took, options))], data=[Table("jobs", rows)])
-
-
-def words(took: Mapping[str, float], options: Options) -> str:
-    ways = [f"{seconds:.1f} s in {way}" for way, seconds in took.items()]
-    quickest = min(took, key=lambda way: took[way])
-    gain = "sharing gains nothing"
-    if quickest != ONE:
-        gain = f"at best {took[ONE] / took[quickest]:.1f} times as fast as {ONE}"
-    what = f"{options.frames} frames of {options.rows:,} Gaussians in groups of {SETTINGS.group_frames}"
-    return f"{what} take {listed(ways)}: {gain}. The packages are the same to the byte."
+    how = f"{options.frames} frames of {options.rows:,} Gaussians in groups of {SETTINGS.group_frames}."
+    return Page([Section("", tables=[Table("jobs", rows, {"way": ("way", ""), "seconds": ("seconds", ".1f")})])], how)
 
 
 def encodes(rows: int, frames: int) -> dict[str, float]:

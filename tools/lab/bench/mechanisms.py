@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
 import numpy as np
@@ -50,8 +50,11 @@ from airgs_codec.trainer.fit.trainer import Trainer
 from airgs_codec.trainer.frames import Capture, train_first
 from airgs_codec.trainer.record import TrainedFrame
 from airgs_codec.trainer.settings import Temporal, TrainSettings
-from tools.lab import Lab, Page, Row, Section, Table, content, listed, required, setting
+from tools.lab import Lab, Page, PagePicture, Row, Section, Table, content, required, setting
 from tools.lab.made import name_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LEAST_BYTES, LEAST_DB, LEAST_TIME = 2.0, 0.3, 20.0  # per cent of the bytes, dB, per cent of the time
 QUALITIES = (0.8, 1.0, 1.25)  # of the encoder as it is
@@ -62,6 +65,12 @@ COLUMNS = {
     "mechanism": ("mechanism", ""), "lines": ("lines", ""), "scene": ("scene", ""),
     "bytes": ("bytes without it, %", "+.1f"), "psnr": ("PSNR without it, dB", "+.2f"),
     "seconds": ("time without it, %", "+.0f"),
+}  # fmt: skip
+SUMMARY = {
+    "mechanism": ("mechanism", ""), "lines": ("lines", ""), "enough": ("enough on", ""), "of": ("of", ""),
+    "bytes_least": ("bytes, least, %", "+.1f"), "bytes_most": ("most, %", "+.1f"),
+    "psnr_least": ("PSNR, least, dB", "+.2f"), "psnr_most": ("most, dB", "+.2f"),
+    "seconds_least": ("time, least, %", "+.0f"), "seconds_most": ("most, %", "+.0f"),
 }  # fmt: skip
 
 
@@ -259,7 +268,24 @@ def run(options: Options, lab: Lab) -> Page:
         for one in chosen:
             rows.append(row_of(one, name_of(scene.partition("@")[0]), curve, _once(scene, PLAIN, one, lab)))
     rows.sort(key=lambda row: known.index(row["mechanism"]))
-    return Page([Section(answer(rows), tables=[Table("mechanisms", rows, COLUMNS)])])
+    shown = Table("mechanisms-summary", summary(rows), SUMMARY)
+    data, size = [Table("mechanisms", rows, COLUMNS)], (7.0, 1.2 + 0.25 * len(shown.rows))
+    caption = "Bytes that scenes take without each mechanism"
+    picture = PagePicture("mechanisms", caption, partial(draw, rows), size)
+    return Page([Section("", "", [picture], [shown])], data=data)
+
+
+def draw(rows: Sequence[Row], figure: Figure) -> None:
+    axis, names = figure.subplots(), list(dict.fromkeys(row["mechanism"] for row in rows))
+    for scene in dict.fromkeys(row["scene"] for row in rows):
+        some = [row for row in rows if row["scene"] == scene]
+        axis.plot([row["bytes"] for row in some], [row["mechanism"] for row in some], "o", markersize=5, label=scene)
+    axis.set_xscale("symlog", linthresh=10)
+    axis.set_ylim(len(names) - 0.5, -0.5)
+    axis.set(xlabel="bytes without it, more than with it at equal PSNR, %", ylabel="mechanism")
+    axis.axvline(0, color="black", linewidth=0.8)
+    axis.xaxis.set_major_formatter("{x:g}")
+    figure.legend(loc="outside upper center", ncols=4)
 
 
 Result = tuple[float, float, float]  # bytes a frame of the top rung, dB of held-out views, CPU seconds
@@ -357,16 +383,16 @@ def _top_bytes(package: Package) -> float:
     return package.rungs[0].bytes / package.manifest.frames
 
 
-def answer(rows: Sequence[Row]) -> str:
-    names = dict.fromkeys(row["mechanism"] for row in rows if row["mechanism"] != CONTROL)
-    counts = {name: sum(_earns(row) for row in rows if row["mechanism"] == name) for name in names}
-    enough, others = ([name for name, count in counts.items() if (count >= 2) == there] for there in (True, False))
-    told = f"Of {len(counts)} mechanisms {len(enough)} bring enough on two scenes or more"
-    told = f"{told}; {listed(others)} do not." if others else f"{told}."
-    if chance := [row for row in rows if row["mechanism"] == CONTROL]:
-        size, shown = (max(abs(row[name]) for row in chance) for name in ("bytes", "psnr"))
-        told += f" Other random numbers alone move bytes by up to {size:.1f} % and PSNR by up to {shown:.2f} dB."
-    return told
+def summary(rows: Sequence[Row]) -> list[Row]:
+    """A row for each mechanism: least and most of what scenes say, and on how many of them it brings enough."""
+    found = []
+    for name in dict.fromkeys(row["mechanism"] for row in rows):
+        some = [row for row in rows if row["mechanism"] == name]
+        one: Row = {"mechanism": name, "lines": some[0]["lines"], "enough": sum(map(_earns, some)), "of": len(some)}
+        for key in ("bytes", "psnr", "seconds"):
+            one |= {f"{key}_least": min(row[key] for row in some), f"{key}_most": max(row[key] for row in some)}
+        found.append(one)
+    return found
 
 
 def _earns(row: Row) -> bool:

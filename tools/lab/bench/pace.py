@@ -57,7 +57,7 @@ def _encodes(options: Options, lab: Lab) -> Page:
     columns = {name: (name, "") for name in ("scene", "preset", "tree")}
     columns |= {"CPU, s": ("CPU, s", ".1f"), "share": ("of the first tree's default", ".2f")}
     how = f"Medians of {options.repeats} encodes in seconds of one core, imports and measuring counted."
-    return Page([Section(how, tables=[Table("pace", rows, columns)])])
+    return Page([Section("", tables=[Table("pace", rows, columns)])], how)
 
 
 def _trainings(options: Options, lab: Lab) -> Page:
@@ -77,7 +77,7 @@ def _trainings(options: Options, lab: Lab) -> Page:
         curve = sorted((row["held-out, dB"], row["CPU, s"]) for row in alike if row["tree"] == one["tree"])
         levels, taken = np.array(curve).T
         one["the same, s"] = float(np.interp(wanted, levels, taken, right=np.nan))
-    return Page([Section("Seconds of the CPU, and what cameras see that were held out.", tables=[Table("pace", rows)])])
+    return Page([Section("", tables=[Table("pace", rows)])], "Seconds of the CPU, and PSNR of held-out cameras.")
 
 
 def _trained(tree: Path, words: list[str], lab: Lab) -> tuple[float, list[float]]:

@@ -13,14 +13,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.scene.sequence import open_sequence
-from tools.lab import Lab, Page, Row, Section, Table, alone, listed, rows_of, setting
+from tools.lab import Lab, Page, Row, Section, Table, alone, rows_of, setting
 from tools.lab.made import make_scene
 
 LEVELS = LevelSettings(0.0), LevelSettings(0.5, 2.0)
@@ -66,7 +64,7 @@ def run(options: Options, lab: Lab) -> Page:
     for rows, frames in sizes:
         found += measure_scene(rows, frames)
         lab.tell(str(found[-1]))
-    section = Section(growth_words(found, options.few), tables=[Table("scale", scenes_of(found), COLUMNS)])
+    section = Section("", tables=[Table("scale", scenes_of(found), COLUMNS)])
     return Page([section], HOW, data=[Table("scale-steps", rows_of(found))])
 
 
@@ -107,19 +105,3 @@ def take_step(step: str, folder: Path) -> None:
 def decode_all(package: Package, frames: int) -> None:
     for _ in decode_frames(package, 0, frames):
         pass
-
-
-def growth_words(found: Sequence[Measured], few: int) -> str:
-    """How much longer twice the Gaussians take, and twice the frames, of which scenes of `few` rows tell."""
-    parts = []
-    for step, what in (("cold", "encoding"), ("decode", "decoding")):
-        times = []
-        for name in ("rows", "frames"):
-            same = [one for one in found if one.step == step and (one.rows == few) == (name == "frames")]
-            if len(same) > 1:
-                sizes, seconds = np.log([[getattr(one, name), one.cpu_seconds] for one in same]).T
-                power = np.polyfit(sizes, seconds, 1)[0]
-                times.append(f"{2**power:.1f} times for twice the {'Gaussians' if name == 'rows' else name}")
-        if times:
-            parts.append(f"{what} takes {listed(times).replace(' for', ' as long for', 1)}")
-    return f"Of CPU time, {'; '.join(parts)}." if parts else ""

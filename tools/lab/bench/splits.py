@@ -50,8 +50,12 @@ if TYPE_CHECKING:
 
 SEED = 1  # of the order in which cameras are dealt out
 WAY = 0.5  # to the middle of the scene
-SAME, CLEAR = 0.1, 0.005  # dB; haze
 NEAR_SHARE = 0.1  # of the way that is left: what is nearer than this there is fog
+COLUMNS = {
+    "scene": ("scene", ""), "cameras": ("held-out cameras", ""), "psnr": ("PSNR, dB", ".1f"),
+    "matched": ("with matched colours", ".1f"), "trained": ("trained cameras, matched", ".1f"),
+    "worst": ("worst held-out", ".1f"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +103,7 @@ def run(options: Options, lab: Lab) -> Page:
         late = known_offsets(folder) or {}
         scene = with_held_out(in_step(open_scene(options.scene), late, parse_frames(options.frames)), held_out)
         judged.append(judge(number, scene, folder))
-        lab.tell(summary(options.scene.resolve().name, judged))
+        lab.tell(f"{summary(options.scene.resolve().name, judged)}")
     rows = [row for split in judged for row in split.rows]
     captions = [f"split {row.split} {row.camera}, haze {row.haze:.3f}" for row in rows]
     sheet = contact_sheet([picture for split in judged for picture in split.half_way], captions, columns=4)
@@ -114,21 +118,20 @@ def run(options: Options, lab: Lab) -> Page:
     size = 9, 6 * tall / wide + 0.4
     caption = "Filmed, and shown, by held-out cameras"
     picture = PagePicture(f"splits-{name}", caption, partial(draw, rows, pairs), size)
-    table = Table(f"splits-{name}", rows_of(rows))
-    return Page([Section(summary(name, judged), pictures=[picture])], how, data=[table])
+    means = Table(f"splits-{name}-means", [summary(name, judged)], COLUMNS)
+    return Page([Section("", "", [picture], [means])], how, data=[Table(f"splits-{name}", rows_of(rows))])
 
 
-def summary(name: str, judged: Sequence[Judged]) -> str:
+def summary(name: str, judged: Sequence[Judged]) -> dict[str, str | float]:
+    """Return means over held-out cameras in dB, the worst of them, and what trained cameras have, matched."""
     rows = [row for split in judged for row in split.rows]
-    mean, matched = (float(np.mean([getattr(row, name) for row in rows])) for name in ("psnr", "matched"))
-    gap = float(np.mean([split.training for split in judged])) - matched
-    worst, haze = min(rows, key=lambda row: row.psnr), max(row.haze for row in rows)
-    looks = f"{mean:.1f} dB as it is, {matched:.1f} matched" if matched - mean >= SAME else f"{mean:.1f} dB"
-    fog = f"; half-way to the scene up to {100 * haze:.0f} % of the light ends in fog" if haze >= CLEAR else ""
-    return (
-        f"{name}, from {len(rows)} cameras that were not trained on, in {len(judged)} splits: {looks}, the worst "
-        f"({worst.camera}) {worst.psnr:.1f}; {gap:.1f} dB less than from those that were{fog}."
-    )
+    worst = min(rows, key=lambda row: row.psnr)
+    return {
+        "scene": name, "splits": len(judged), "cameras": len(rows), "psnr": float(np.mean([row.psnr for row in rows])),
+        "matched": float(np.mean([row.matched for row in rows])),
+        "trained": float(np.mean([split.training for split in judged])), "worst": worst.psnr, "camera": worst.camera,
+        "haze": max(row.haze for row in rows),
+    }  # fmt: skip
 
 
 def draw(rows: Sequence[Row], pairs: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8]]], figure: Figure) -> None:

@@ -8,7 +8,6 @@ its file's. PSNR is of the error of all pictures together, against the file as i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -51,17 +50,7 @@ def run(options: Options, lab: Lab) -> Page:
         f"SPZ is version 3 with all bits of SH; packages aim {ABOVE:g} dB above its PSNR, in {DRAWS} "
         "views that decided nothing."
     )
-    return Page([Section(verdict(rows), tables=[Table("static", rows, COLUMNS)])], how)
-
-
-def verdict(rows: Sequence[Row]) -> str:
-    """Which share of SPZ's bytes packages take, and in how many files the worst picture is worse than that of SPZ."""
-    shares = [100 * row["share"] for row in rows]
-    below = [row["file"] for row in rows if row["airgs_psnr"] < row["spz_psnr"]]
-    worse = sum(row["airgs_worst"] < row["spz_worst"] for row in rows)
-    words = f"Packages take {min(shares):.0f} to {max(shares):.0f} % of the bytes of SPZ"
-    words += f"; they do not reach its PSNR of {', '.join(below)}" if below else " at its PSNR or better"
-    return f"{words}. Their worst view is worse in {worse} of {len(rows)} files."
+    return Page([Section("", tables=[Table("static", rows, COLUMNS)])], how)
 
 
 def measure(path: Path, lab: Lab) -> Row:

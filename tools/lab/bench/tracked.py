@@ -60,7 +60,7 @@ def run(options: Options, lab: Lab) -> Page:
         f"{name}, {len(clean)} frames, {'as they come' if options.as_it_is else WAYS}; {len(cameras)} cameras; seconds "
         "are of the whole encode."
     )
-    return Page([Section(verdict(rows), tables=[Table(f"tracked-{name}", rows, COLUMNS)])], how)
+    return Page([Section("", tables=[Table(f"tracked-{name}", rows, COLUMNS)])], how)
 
 
 def code(given: GaussianSequence, target: Path, name: str) -> None:
@@ -75,17 +75,6 @@ WAYS = (
     f"rows in another order in each, places moved by {MOVED:g} of their Gaussian's size, {GONE:.0%} of rows deleted "
     f"and {SPLIT:.0%} split"
 )
-
-
-def verdict(rows: Sequence[Row]) -> str:
-    given, alone, moving = ({row["coded"]: row for row in rows}[name] for name in (GIVEN, ALONE, TRACKED))
-    share, gain = 100 * moving["kb"] / alone["kb"], moving["psnr"] - alone["psnr"]
-    beside = moving["psnr"] - given["psnr"]
-    return (
-        f"Tracked it takes {share:.0f} % of the bytes of coding frame by frame, {abs(gain):.1f} dB "
-        f"{'better' if gain > 0 else 'worse'} than these and {abs(beside):.1f} dB {'above' if beside > 0 else 'below'} "
-        "what was given."
-    )
 
 
 def looks(

@@ -13,11 +13,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from airgs_codec._report import BLUE, GREEN, GREY, RED
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.package.region import parse_up
@@ -28,9 +30,12 @@ from airgs_codec.scene.frames import repair
 from airgs_codec.scene.gaussians import Gaussians, multiply
 from airgs_codec.scene.sequence import open_sequence
 from airgs_codec.trainer.fit.points import from_points
-from tools.lab import Lab, Page, Row, Section, Table, content, required, setting
+from tools.lab import Lab, Page, PagePicture, Row, Section, Table, content, required, setting
 from tools.lab.made import name_of
 from tools.make_crowd import Model, crowd
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOMENTS, ROWS = 2, 10_000  # of a sequence, and Gaussians of a model
 LIKE = [form for form in FRAMES if not form.axes], [form for form in FRAMES if form.axes]  # -y and y is up
@@ -53,7 +58,24 @@ def run(options: Options, lab: Lab) -> Page:
         found = lab.results.once("upright", [scene, content(Path(place))], partial(measure, scene))
         half = HALVES[name_of(place) in options.held]
         rows += [{"scene": name_of(place), "half": half} | row for row in found]
-    return page(rows)
+    tables, more = [counts(rows, key, "up") for key in ("turn", "scene")], counts(rows, "form", "up")
+    fronts = [row for row in rows if "front" in row]
+    picture = PagePicture(
+        "upright", "Guesses of which way is up, by how files are turned", partial(draw, tables[0].rows)
+    )
+    data = [*tables[1:], more, counts(fronts, "scene", "front")]
+    return Page([Section("", "", [picture], tables[:1])], data=data)
+
+
+def draw(rows: Sequence[Row], figure: Figure) -> None:
+    axis, left = figure.subplots(), np.zeros(len(rows))
+    for kind, colour in zip(KINDS, (GREEN, BLUE, GREY, RED), strict=True):
+        widths = np.array([row[kind] for row in rows])
+        axis.barh([f"{row['turn']} ({row['half']})" for row in rows], widths, left=left, color=colour, label=kind)
+        left += widths
+    axis.invert_yaxis()
+    axis.set(xlabel="files", ylabel="turn of the files (scenes)")
+    figure.legend(loc="outside upper center", ncols=len(KINDS))
 
 
 def measure(scene: str) -> list[Row]:
@@ -96,24 +118,6 @@ def tried(still: Gaussians, truth: Sequence[NDArray[np.float64]], random: np.ran
                 ahead = found.cameras[0].world_to_camera[2, :3] @ turn.apply(truth[1]) < -AHEAD
                 row["front"] = KINDS["may be" in found.summary if ahead else 3 - ("may be" in found.summary)]
             yield row
-
-
-def page(rows: Sequence[Row]) -> Page:
-    words = []
-    for half in sorted({row["half"] for row in rows}, reverse=True):
-        some = [row["up"] for row in rows if row["half"] == half]
-        right, guessed, _, wrong = (some.count(kind) / len(some) for kind in KINDS)
-        words.append(
-            f"Of {len(some)} files of scenes {half}, up is right or doubted in {1 - wrong:.1%}, wrong without a "
-            f"doubt in {wrong:.1%}; shown upright in {right + guessed:.0%}, without a doubt in {right:.0%}."
-        )
-    fronts = [row for row in rows if "front" in row]
-    right, _, _, wrong = ([row["front"] for row in fronts].count(kind) for kind in KINDS)
-    words.append(
-        f'Of {len(fronts)} upright files with a front "from in front" is said of {right + wrong}, wrongly of {wrong}.'
-    )
-    tables, more = [counts(rows, key, "up") for key in ("turn", "scene")], counts(rows, "form", "up")
-    return Page([Section(" ".join(words), tables=tables)], data=[more, counts(fronts, "scene", "front")])
 
 
 def counts(rows: Sequence[Row], key: str, of: str) -> Table:

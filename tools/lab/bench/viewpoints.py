@@ -17,7 +17,7 @@ from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.viewpoints import Sample, find_viewpoints
 from airgs_codec.render import Camera, read_cameras
 from airgs_codec.scene.sequence import open_sequence
-from tools.lab import Lab, Page, Row, Section, Table, listed, required
+from tools.lab import Lab, Page, Row, Section, Table, required
 from tools.lab.made import name_of
 
 FRAMES = 3
@@ -36,23 +36,8 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    return page([measure(scene) for scene in options.scenes])
-
-
-def page(rows: Sequence[Row]) -> Page:
-    known = [row["scene"] for row in rows if "away" in row]
-    unsure = [row["scene"] for row in rows if not row["sure"]]
-    words = []
-    if known:
-        seen = {key: sorted(row[key] for row in rows if key in row) for key in COLUMNS}
-        (near, far), (least, most) = ((seen[key][0], seen[key][-1]) for key in ("away", "degrees"))
-        words.append(
-            f"From a true camera to the nearest found one it is {near:.2f} to {far:.2f} of the distance to what it "
-            f"sees, and {least:.0f} to {most:.0f} degrees (medians of {listed(known)}; at worst "
-            f"{seen['worst_away'][-1]:.2f} and {seen['worst_degrees'][-1]:.0f})."
-        )
-    words.append(f"Of {listed(unsure)} it says that it is not sure." if unsure else "It is sure of every scene.")
-    return Page([Section(" ".join(words), tables=[Table("viewpoints", rows, COLUMNS)])])
+    rows = [measure(scene) for scene in options.scenes]
+    return Page([Section("", tables=[Table("viewpoints", rows, COLUMNS)])])
 
 
 def measure(scene: str) -> Row:

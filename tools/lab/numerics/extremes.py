@@ -8,7 +8,6 @@ out of its bound or not finite, or a sequence ends otherwise than it should.
 from __future__ import annotations
 
 import tempfile
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +17,7 @@ from tools.lab import Lab, Page, Row, Section, Table, content
 from tools.lab.numerics.outcome import BOUNDED, REFUSED
 from tools.lab.numerics.sequences import CASES, Case, Outcome, measure_case
 
-OUT, HAPPENS = "out of its bound", "what happens (sequences)"
+OUT = "out of its bound"
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,20 +85,15 @@ def row(case: Case, outcome: Outcome) -> Row:
 
 
 def page(rows: Sequence[Row]) -> Page:
-    counts = Counter(one["verdict"] for one in rows)
-    out = f"{counts[OUT]} of them leave a bound" if counts[OUT] else "none leaves a bound"
-    answer = (
-        f"Of {len(rows)} sequences {counts[REFUSED]} are refused, and {counts[BOUNDED]} are within all bounds; {out}."
-    )
-    wrong = [one["sequence"] for one in rows if not one["good"]]
     table = Table("extremes-lines", [line_of(one, rows) for one in LINES])
-    return Page([Section(answer, tables=[table])], failed=bool(wrong), data=[Table("extremes", rows)])
+    return Page(
+        [Section("", tables=[table])], failed=not all(one["good"] for one in rows), data=[Table("extremes", rows)]
+    )
 
 
-def line_of(line: Line, rows: Sequence[Row]) -> dict[str, str]:
+def line_of(line: Line, rows: Sequence[Row]) -> Row:
     own = [one for one in rows if one["sequence"] in line.names]
     kept = [one for one in own if one["verdict"] != REFUSED]
-    parts = [f"bounded by `max_error` ({len(kept)})"] + [f"refused ({len(own) - len(kept)})"] * (len(kept) < len(own))
     most = max(one["bytes a row and frame"] for one in kept)
-    happens = {"what you meet": line.meet, HAPPENS: "; ".join(parts)}
-    return happens | {"what to do": line.do.format(bytes=f"{most:.2g}")}
+    counts = {"within bounds": sum(one["verdict"] == BOUNDED for one in own), "refused": len(own) - len(kept)}
+    return {"what you meet": line.meet} | counts | {"what to do": line.do.format(bytes=f"{most:.2g}")}

@@ -19,7 +19,7 @@ from airgs_codec.trainer.fit.losses import Parameters, from_gaussians, photometr
 from airgs_codec.trainer.fit.optimise import Adam, PerGaussian, Schedule, optimise
 from airgs_codec.trainer.fit.trainer import MOVING_RATES
 from airgs_codec.trainer.settings import TrainSettings
-from tools.lab.numerics.outcome import BOUNDED, INVISIBLE, UNFIT, Case, Judged, fit_end, grid
+from tools.lab.numerics.outcome import INVISIBLE, UNFIT, Case, Judged, fit_end, grid
 from tools.lab.numerics.problems import AXES, EXTENT, Axis, Problem, needles
 
 METHODS = TRAINER, COMMON, DESCENT, UNSCALED = (
@@ -27,7 +27,6 @@ METHODS = TRAINER, COMMON, DESCENT, UNSCALED = (
 )  # fmt: skip
 FACTORS = (0.1, 1.0, 10.0, 100.0)  # on the trainer's learning rates
 ITERATIONS = 30
-REACH = f"{ITERATIONS} iterations"  # what bounds a fit
 COMMON_EPSILON = 1e-8  # Adam's, in Kingma and Ba and in torch
 
 Steps = Callable[[Adam], Adam]
@@ -120,7 +119,7 @@ def fit(
         left = float(loss(after, views))
     moved = after is not base and any(bool((p.detach() != 0).any()) for p in variables.adam.parameters.values())
     end = fit_end(before, left, finite)
-    words = REACH if end == BOUNDED else ""
+    words = ""
     if not any(view.target.rgb.any() for view in views):
         end, words = UNFIT, "nothing is drawn"
     elif not moved and max(before, left) >= INVISIBLE:
@@ -140,9 +139,8 @@ def cases() -> list[Case]:
     rows = [f"{factor:g}" for factor in FACTORS]
     return [
         Case(
-            part="trainer", name=f"train-{axis.name}", title=axis.title, label=axis.label,
-            value="loss after / before", own=(TRAINER, "1"), points=grid(METHODS, rows, axis.values),
-            judge=partial(judge, axis), why=f"{REACH}{axis.why} (loss x {{span}})",
+            part="trainer", name=f"train-{axis.name}", title=axis.title, own=(TRAINER, "1"),
+            points=grid(METHODS, rows, axis.values), judge=partial(judge, axis),
         )
         for axis in AXES
     ]  # fmt: skip

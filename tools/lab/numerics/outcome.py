@@ -8,12 +8,11 @@ from dataclasses import dataclass
 
 from airgs_codec.errors import AirgsError
 
-EXACT, BOUNDED, UNFIT, REFUSED = VERDICTS = ("exact", "bounded", "does not fit", "refused")
+EXACT, BOUNDED, SLOW, UNFIT, REFUSED = VERDICTS = ("exact", "bounded", "slow", "does not fit", "refused")
 DIVERGES, NOT_FINITE = "diverges", "not finite"
 ENDS = (*VERDICTS, DIVERGES, NOT_FINITE)
 FAULTS = (DIVERGES, NOT_FINITE)  # ends that the code as it is may not have
-HALVED = 0.5  # of the loss at the start: a fit that ends below does well
-GROWN = 1.05  # of the loss at the start: a fit that ends above diverges
+HALVED = 0.5  # of the loss at the start: a fit that ends above is slow, whatever bounds it
 INVISIBLE = 1e-4  # loss: a tenth of the mean error of rounding pictures to 8 bits; what stays below is exact
 
 Judged = tuple[str, float, str]  # end, what was measured, the message of a refusal or what bounds
@@ -38,13 +37,9 @@ class Case:
     part: str
     name: str
     title: str
-    label: str  # of the axis; "" where there is none
-    value: str  # what is measured
     own: tuple[str, str]  # panel and row of the code as it is; "" stands for all of them
     points: tuple[At, ...]
     judge: Callable[[str, str, float], Judged]
-    why: str = ""  # what bounds it; `{span}`: from which to which of what is measured
-    refused: str = ""  # what is refused
 
     def run(self, quick: bool = False) -> list[Cell]:
         """All experiments; `quick`: a third of the axis. An AirgsError is a refusal, other errors are raised."""
@@ -73,9 +68,9 @@ def fit_end(before: float, after: float, finite: bool) -> str:
     """Return how a fit ended, from its loss before and after and whether all that it fitted is finite."""
     if not (finite and math.isfinite(before) and math.isfinite(after)):
         return NOT_FINITE
-    if after > max(GROWN * before, INVISIBLE):
+    if after > max(before, INVISIBLE):
         return DIVERGES
-    return EXACT if after <= INVISIBLE else BOUNDED
+    return EXACT if after <= INVISIBLE else BOUNDED if after <= HALVED * before else SLOW
 
 
 def error_end(error: float, close: float) -> str:
@@ -87,22 +82,6 @@ def error_end(error: float, close: float) -> str:
 
 def count_ends(cells: Sequence[Cell]) -> dict[str, int]:
     return {end: sum(cell.end == end for cell in cells) for end in ENDS if any(cell.end == end for cell in cells)}
-
-
-def does_well(cell: Cell) -> bool:
-    return cell.end in (EXACT, BOUNDED) and (cell.end == EXACT or cell.value <= HALVED)
-
-
-def ranges(cells: Sequence[Cell], good: Callable[[Cell], bool]) -> str:
-    found: list[list[float]] = []
-    inside = False
-    for cell in cells:
-        if good(cell) and inside:
-            found[-1][1] = cell.x
-        elif good(cell):
-            found.append([cell.x, cell.x])
-        inside = good(cell)
-    return ", ".join(number(a) if a == b else f"{number(a)} to {number(b)}" for a, b in found)
 
 
 def number(value: float) -> str:

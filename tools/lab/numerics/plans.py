@@ -134,22 +134,18 @@ SCALES = ("1e2", "1e5", "1e8", "1e11")
 def cases() -> list[Case]:
     return [
         Case(
-            part="selector", name="selector-programmes", title="Programmes over rates", label="rate in bit/s",
-            value="gap in dB", own=("programme", ""),
+            part="selector", name="selector-programmes", title="Programmes over rates", own=("programme", ""),
             points=grid(["programme"], KINDS, [10.0**e for e in (-3, 0, 2, 4, 5, 5.5, 6, 7, 9, 12, 15)]),
-            judge=lambda panel, kind, rate: solved(kind, rate), why="what whole rungs leave ({span} dB)",
+            judge=lambda panel, kind, rate: solved(kind, rate),
         ),
         Case(
-            part="selector", name="selector-margin", title="Margin of capacities", label="ROUNDING",
-            value="dB too much", own=("as it is", ""),
+            part="selector", name="selector-margin", title="Margin of capacities", own=("as it is", ""),
             points=grid(["as it is"], SCALES, [bound.ROUNDING]) + grid(["margins tried"], SCALES, MARGINS),
             judge=lambda panel, scale, margin: judge_margin(margin, float(scale)),
         ),
         Case(
-            part="selector", name="selector-sessions", title="Sessions over rates", label="rate in bit/s",
-            value="s of stall", own=("session", ""),
+            part="selector", name="selector-sessions", title="Sessions over rates", own=("session", ""),
             points=grid(["session"], POLICIES, [10.0**e for e in (-30, -9, -3, 2, 3, 4, 5, 6, 9, 12, 15, 18, 30)]),
             judge=lambda panel, policy, rate: play_once(policy, rate),
-            why="waiting for the smallest rungs ({span} s)", refused="rates over 1e19 bit/s, batches of over a day",
         ),
     ]  # fmt: skip

@@ -133,24 +133,22 @@ def quaternions_of(norm: float) -> Problem:
 class Axis:
     name: str
     title: str
-    label: str
     make: Callable[[float], Problem]
     values: tuple[float, ...]
-    why: str = ""  # what bounds a fit besides its iterations
 
 
 AXES = (
-    Axis("needles", "Needles", "longest axis over the others", needles, (1.0, 10.0, 1e2, 1e4, 1e6)),
+    Axis("needles", "Needles", needles, (1.0, 10.0, 1e2, 1e4, 1e6)),
     Axis(
-        "distance", "Distance to the camera", "distance / extent of the scene", distant,
+        "distance", "Distance to the camera", distant,
         (0.001, 0.01, 0.1, 1.0, 10.0, 1e2, 1e6),
     ),
-    Axis("motion", "Motion a frame", "motion / size of a Gaussian", moving, (1e-4, 1e-2, 0.1, 1.0, 10.0, 100.0)),
+    Axis("motion", "Motion a frame", moving, (1e-4, 1e-2, 0.1, 1.0, 10.0, 100.0)),
     Axis(
-        "changes", "Motion at the price of changes", "motion / size of a Gaussian", partial(moving, temporal=True),
-        (1e-4, 1e-2, 0.3, 10.0), " at the price of changes",
+        "changes", "Motion at the price of changes", partial(moving, temporal=True),
+        (1e-4, 1e-2, 0.3, 10.0),
     ),
-    Axis("opacity", "Opacity", "logit at the start", faint_or_opaque, (-30.0, -8.0, -5.5, 0.0, 4.0, 14.0, 30.0)),
-    Axis("coincident", "Coincident rows", "distance / size of a Gaussian", coincident, (0.0, 1e-6, 1e-3, 0.1)),
-    Axis("quaternions", "Length of quaternions", "length", quaternions_of, (1e-20, 1e-6, 1e-2, 1.0, 1e2, 1e6, 1e25)),
+    Axis("opacity", "Opacity", faint_or_opaque, (-30.0, -8.0, -5.5, 0.0, 4.0, 14.0, 30.0)),
+    Axis("coincident", "Coincident rows", coincident, (0.0, 1e-6, 1e-3, 0.1)),
+    Axis("quaternions", "Length of quaternions", quaternions_of, (1e-20, 1e-6, 1e-2, 1.0, 1e2, 1e6, 1e25)),
 )  # fmt: skip

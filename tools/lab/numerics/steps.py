@@ -224,37 +224,28 @@ CODERS: dict[str, Callable[[CalibrationSample, float], Judged]] = {"keyframes": 
 def cases() -> list[Case]:
     return [
         Case(
-            part="codec", name="codec-closed-form", title="Closed form for steps",
-            label="decades of the errors of steps", value="largest factor on a step / least", own=(WITH, ""),
+            part="codec", name="codec-closed-form", title="Closed form for steps", own=(WITH, ""),
             points=grid([WITH, WITHOUT], KINDS, (0.0, 0.5, 1.0, 2.0, 3.0, 6.0, 12.0, 24.0, 300.0)),
-            judge=judge_spread, why=f"a limit on factors of {outcome.number(LIMIT)} and its inverse",
+            judge=judge_spread,
         ),
         Case(
-            part="codec", name="codec-steps", title="Steps from tiny to huge", label="factor on all steps",
-            value="largest error in steps", own=("coded", ""),
+            part="codec", name="codec-steps", title="Steps from tiny to huge", own=("coded", ""),
             points=grid(["coded"], CODERS, [10.0**e for e in (-300, -12, -9, -8, -6, -4, -2, 0, 2, 4, 8, 300)]),
             judge=lambda panel, kind, factor: CODERS[kind](sample_of(cloud()), factor),
-            why="what H.264 may add ({span} steps)",
-            refused="values beyond 2^30 codes, steps that float32 cannot hold",
         ),
         Case(
-            part="codec", name="codec-klt", title="Colours on a line", label="decades of the spread of colours",
-            value="error / largest colour", own=("inverted", ""),
+            part="codec", name="codec-klt", title="Colours on a line", own=("inverted", ""),
             points=grid(["inverted", "transposed"], ["colours"], (0.0, 2.0, 4.0, 6.0, 8.0, 12.0, 30.0, 300.0)),
             judge=lambda panel, row, decades: klt_error(decades, panel == "inverted"),
         ),
         Case(
-            part="codec", name="codec-classes", title="Rows that matter unequally",
-            label="decades of the sensitivities of rows", value="bits of an axis of the grid", own=("classes", ""),
+            part="codec", name="codec-classes", title="Rows that matter unequally", own=("classes", ""),
             points=grid(["classes"], ["rows"], (0.0, 1.0, 2.0, 4.0, 6.0, 9.0, 12.0, 24.0, 100.0, 300.0)),
             judge=lambda panel, row, decades: judge_classes(decades),
-            why="the coarsest class, which rows under a hundredth of the median share",
         ),
         Case(
-            part="codec", name="codec-scenes", title="Calibration of made scenes", label="",
-            value="bytes at their price and error, after / before", own=("calibrated", ""),
+            part="codec", name="codec-scenes", title="Calibration of made scenes", own=("calibrated", ""),
             points=grid(["calibrated"], SCENES, [0.0]),
             judge=lambda panel, name, _: calibrated(sample_of(SCENES[name](cloud()))),
-            why="that limit, where nobody sees an error",
         ),
     ]  # fmt: skip

@@ -67,9 +67,7 @@ def run(options: Options, lab: Lab) -> Page:
     data = [table, Table(f"rd-{name}-points", _with_ours(points))]
     nearest = [row for row in rows if row["format"] != OURS_WHOLE][:BRIEF]
     brief = [Table("brief", nearest, dict(list(COLUMNS.items())[:3]))]
-    return Page(
-        [Section(verdict(name, rows, options.at), pictures=pictures, tables=brief)], how, data=data, brief=brief
-    )
+    return Page([Section("", "", pictures, brief)], how, data=data)
 
 
 def trials(options: Options) -> Iterator[Trial]:
@@ -139,20 +137,6 @@ def beside(points: Sequence[RdPoint], at: float) -> list[Row]:
         rate = bd_rate(ours, variants[coder]) if reached and name != OURS else None
         rows.append({"format": name, "kb": kb, "psnr": psnr, "times": times, "variant": variant, "bd_rate": rate})
     return sorted(rows, key=lambda row: (row["format"] != OURS, abs(row["psnr"] - at) > 0, row["kb"]))
-
-
-def verdict(scene: str, rows: Sequence[Row], at: float) -> str:
-    found = {row["format"]: row for row in rows if row["psnr"] == at}
-    if OURS not in found:
-        return f"No package of airgs was measured on both sides of {at:g} dB."
-    words = f"At {at:g} dB airgs takes {found[OURS]['kb']:.1f} kB a frame of {scene}"
-    others = [row for name, row in found.items() if not name.startswith(OURS)]
-    if not others:
-        return f"{words}. No other format that was run reaches that PSNR from both sides."
-    best = min(others, key=lambda row: row["kb"])
-    share = 100 * found[OURS]["kb"] / best["kb"]
-    variant = f" ({best['variant']})" if best["variant"] else ""
-    return f"{words}, {share:.0f} % of the nearest other, {best['format']}{variant}, which takes {best['kb']:.1f}."
 
 
 def draw(points: Sequence[RdPoint], title: str, figure: Figure) -> None:
