@@ -191,5 +191,5 @@ FIGURES = (
     *_of("docs/playing.md", "python -m tools.make_film", "docs/session.webp"),
     *_of("docs/tracking.md", "airgs-encode noisy/ -o OUT --report OUT",
          "docs/tracking.png"),
-    *_of("docs/results/training.md", "airgs-train fox/ -o OUT --report OUT", "docs/results/training.png"),
+    *_of("docs/training.md", "airgs-train fox/ -o OUT --report OUT", "docs/results/training.png"),
 )  # fmt: skip

@@ -7,6 +7,7 @@ import json
 import shlex
 import shutil
 from contextlib import nullcontext
+from dataclasses import replace
 from itertools import islice
 from types import SimpleNamespace
 
@@ -113,7 +114,9 @@ INSTEAD = {
     "tools.lab.bench.tracked": {**ENCODE, "tracked": lambda given, *_: nullcontext(given)},
     "tools.lab.numerics.extremes": {"run": known_extremes},
     "tools.lab.numerics.rows.Bench": {"ladder": lambda *_: open_package(GOLDEN / "fox")},
-    "tools.lab.numerics.stiff": {"CASES": [case for case in stiff.CASES if case.name.startswith("codec-closed")]},
+    "tools.lab.numerics.stiff": {
+        "CASES": [replace(case, judge=lambda *_: ("bounded", 0.5, "")) for case in stiff.CASES]
+    },
     "tools.lab.paper.reproduce": {"in_processes": lambda work, calls, *_: [work(*one) for one in calls]},
     "tools.lab.paper.training": {"QUICK_FIRST": 3},
     "tools.lab.rd.experiment": {"trials": lambda _: (*islice(layout_trials(), 2), *islice(written_trials(), 1))},

@@ -2,7 +2,7 @@
 
 A keyframe is trained from scratch and pruned. Every later frame of its group is the one before, first moved by a hash
 grid that gives a displacement at every place, then fine-tuned with losses that hold the residual to the frame before.
-Written from the paper; docs/results/baselines.md says what is simplified. N Gaussians, C channels, T frames of a group.
+Written from the paper; docs/results/size.md says what is simplified. N Gaussians, C channels, T frames of a group.
 """
 
 from __future__ import annotations

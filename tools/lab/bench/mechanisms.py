@@ -271,7 +271,8 @@ def run(options: Options, lab: Lab) -> Page:
     shown = Table("mechanisms-summary", summary(rows), SUMMARY)
     data, size = [Table("mechanisms", rows, COLUMNS)], (7.0, 1.2 + 0.25 * len(shown.rows))
     caption = "Bytes that scenes take without each mechanism"
-    picture = PagePicture("mechanisms", caption, partial(draw, rows), size)
+    name = f"mechanisms{'-trainer' * any(':' in scene for scene in options.scenes)}"
+    picture = PagePicture(name, caption, partial(draw, rows), size)
     return Page([Section("", "", [picture], [shown])], data=data)
 
 
@@ -282,9 +283,10 @@ def draw(rows: Sequence[Row], figure: Figure) -> None:
         axis.plot([row["bytes"] for row in some], [row["mechanism"] for row in some], "o", markersize=5, label=scene)
     axis.set_xscale("symlog", linthresh=10)
     axis.set_ylim(len(names) - 0.5, -0.5)
-    axis.set(xlabel="bytes without it, more than with it at equal PSNR, %", ylabel="mechanism")
+    axis.set(xlabel="bytes without it, % more at equal PSNR", ylabel="mechanism")
     axis.axvline(0, color="black", linewidth=0.8)
-    axis.xaxis.set_major_formatter("{x:g}")
+    axis.set_xticks([-10, -5, 0, 5, 10, 20, 50, 100], ["-10", "-5", "0", "5", "10", "20", "50", "100"])
+    axis.margins(x=0.1)
     figure.legend(loc="outside upper center", ncols=4)
 
 

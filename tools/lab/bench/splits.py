@@ -116,7 +116,7 @@ def run(options: Options, lab: Lab) -> Page:
     pairs = [pair for split in judged for pair in split.last]
     tall, wide = pairs[0][0].shape[:2]
     size = 9, 6 * tall / wide + 0.4
-    caption = "Filmed, and shown, by held-out cameras"
+    caption = "What held-out cameras filmed (above), and what the model shows them"
     picture = PagePicture(f"splits-{name}", caption, partial(draw, rows, pairs), size)
     means = Table(f"splits-{name}-means", [summary(name, judged)], COLUMNS)
     return Page([Section("", "", [picture], [means])], how, data=[Table(f"splits-{name}", rows_of(rows))])

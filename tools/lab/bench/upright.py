@@ -8,12 +8,12 @@ and some with y up. Up is right within 30 degrees, a front within 60. `held`: no
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,13 +61,13 @@ def run(options: Options, lab: Lab) -> Page:
     tables, more = [counts(rows, key, "up") for key in ("turn", "scene")], counts(rows, "form", "up")
     fronts = [row for row in rows if "front" in row]
     picture = PagePicture(
-        "upright", "Guesses of which way is up, by how files are turned", partial(draw, tables[0].rows)
+        "upright", "Guesses of which way is up, by how files are turned", partial(draw, tables[0].rows), (6.5, 3.2)
     )
     data = [*tables[1:], more, counts(fronts, "scene", "front")]
     return Page([Section("", "", [picture], tables[:1])], data=data)
 
 
-def draw(rows: Sequence[Row], figure: Figure) -> None:
+def draw(rows: Sequence[Mapping[str, Any]], figure: Figure) -> None:
     axis, left = figure.subplots(), np.zeros(len(rows))
     for kind, colour in zip(KINDS, (GREEN, BLUE, GREY, RED), strict=True):
         widths = np.array([row[kind] for row in rows])

@@ -91,7 +91,9 @@ def page(cells: Sequence[Cell]) -> Page:
         head = {"start": ("what is hard", "")} | {name: (f"rate x {name[1:]}", ".2g") for name in RATES.values()}
         tables.append(Table("stiff-rates", rates, head))
         pictures = [
-            PagePicture("stiff-rates", "Loss after thirty iterations, over learning rates", partial(draw, rates))
+            PagePicture(
+                "stiff-rates", "Loss after thirty iterations, over learning rates", partial(draw, rates), (7, 3.2)
+            )
         ]
     more = {"faults": rows_of(wrong)}
     return Page(
@@ -125,5 +127,7 @@ def draw(rows: Sequence[Row], figure: Figure) -> None:
         )
     axis.axhline(1, color="black", linewidth=0.8, linestyle="--")
     axis.set(xscale="log", yscale="log", xlabel="factor on the default learning rates")
-    axis.set_ylabel("loss after / before, worst case")
-    axis.legend(loc="upper left")
+    axis.set_ylabel("loss after thirty iterations / before")
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.yaxis.set_major_formatter("{x:g}")
+    figure.legend(loc="outside right center")

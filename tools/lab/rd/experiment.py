@@ -140,16 +140,14 @@ def beside(points: Sequence[RdPoint], at: float) -> list[Row]:
 
 
 def draw(points: Sequence[RdPoint], title: str, figure: Figure) -> None:
-    """Bytes against PSNR: for each format the points that none of its variants beats, with its name at their end."""
+    """Bytes against PSNR: for each format the points that none of its variants beats."""
     axis = figure.subplots()
     points = [p for p in points if p.coder != OURS_WHOLE]
     for name in dict.fromkeys(format_of(p.coder) for p in points):
         curve = rising([p for p in points if format_of(p.coder) == name])
         x, y = [p.kb_per_frame for p in curve], [p.psnr for p in curve]
-        [line] = axis.plot(
-            x, y, "o--" if name == OURS_WHOLE else "o-", linewidth=3 if name == OURS else 1.3, markersize=4
-        )
-        axis.annotate(name, (x[-1], y[-1]), (4, 4), textcoords="offset points", color=line.get_color(), fontsize=9)
+        axis.plot(x, y, "o-", linewidth=3 if name == OURS else 1.3, markersize=4, label=name)
+    figure.legend(loc="outside right center")
     axis.set(xlabel="kB a frame, everything that a viewer fetches (logarithmic)", title=title)
     axis.set_ylabel("PSNR against pictures of the original, dB")
     axis.set_xscale("log")
