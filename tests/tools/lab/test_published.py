@@ -35,15 +35,11 @@ def own(path):
 
 
 @pytest.mark.parametrize("path", [REPOSITORY / "README.md", *PAGES], ids=lambda path: f"{path.parent.name}-{path.stem}")
-def test_every_number_of_results_is_in_the_file_of_figures(path):
-    assert published.unsourced(path.read_text(), own(path)) == []
-
-
-@pytest.mark.parametrize("path", [REPOSITORY / "README.md", *PAGES], ids=lambda path: f"{path.parent.name}-{path.stem}")
-def test_every_comparison_of_results_is_checked_and_true(path):
-    checks, entries = published.CHECK.findall(path.read_text()), published.read_figures()
-    assert [check for check in checks if not published.holds(check, entries)] == []
-    assert path not in PAGES or published.unchecked(path.read_text()) == []
+def test_every_number_of_results_is_in_the_file_of_figures_and_every_comparison_is_checked_and_true(path):
+    text, entries = path.read_text(), published.read_figures()
+    assert published.unsourced(text, own(path)) == []
+    assert [check for check in published.CHECK.findall(text) if not published.holds(check, entries)] == []
+    assert path not in PAGES or published.unchecked(text) == []
 
 
 @pytest.mark.parametrize(("check", "true"), [
@@ -76,9 +72,7 @@ def test_every_measurement_has_its_place_in_a_document_and_every_entry_is_made_b
     entries = published.read_figures()
     commands = {one.name: (one.document, f"{PROGRAM} {one.words}") for one in MEASUREMENTS}
     assert len(commands) == len(MEASUREMENTS)
-    assert [
-        name for name, (document, _) in commands.items() if name not in own(published.RESULTS / f"{document}.md")
-    ] == []
+    assert all(name in own(published.RESULTS / f"{document}.md") for name, (document, _) in commands.items())
     made = {name: (one["document"], one["command"]) for name, one in entries.items() if name not in NO_LONGER_MEASURED}
     assert made.items() <= commands.items()
     assert set(NO_LONGER_MEASURED) <= set(entries) and not set(NO_LONGER_MEASURED) & set(commands)
@@ -103,12 +97,7 @@ def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeyp
     folder.mkdir()
     (tmp_path / "line.png").write_bytes(b"picture")
     marks = "<!-- tools.lab {0}: begin -->\n<!-- tools.lab {0}: end -->\n"
-    text = (
-        "# A thing\n![A line](line.png)\n"
-        + marks.format("thing")
-        + marks.format("other")
-        + marks.format("thing/brief+line")
-    )
+    text = "# A thing\n![A line](line.png)\n" + "".join(map(marks.format, ("thing", "other", "thing/brief+line")))
     (folder / "thing.md").write_text(text)
     (tmp_path / "README.md").write_text(marks.format("thing/brief"))
     thing = Measurement("thing", "thing", "thing")
@@ -118,12 +107,8 @@ def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeyp
     rows = [{"name": "a|b", "ms": 1.25, "ok": True, "more": 1}, {"name": "c", "ms": math.nan, "ok": False}]
     times = Table("times", rows, {"name": ("name", ""), "ms": ("ms", ".1f"), "ok": ("good", "")})
     brief = Table("brief", [{"name": "a", "ms": 1.25}], {"ms": ("time", ".2f")})
-    pictures = [PagePicture(name, f"A {name}", lambda figure: None) for name in ("line", "dot")]
-    page = Page(
-        [Section("It takes 1 ms.", "How long?", pictures[:1], [times]), Section("", "", pictures[1:])],
-        "By hand.",
-        data=[brief],
-    )
+    line, dot = (PagePicture(name, f"A {name}", lambda figure: None) for name in ("line", "dot"))
+    page = Page([Section("It takes 1 ms.", "How?", [line], [times]), Section("", "", [dot])], "By hand.", data=[brief])
     made = Made("thing", "How long?", "python -m tools.lab thing", "2 cores", 3.2, "2026-11-26", "abc1234", 4)
     (tmp_path / "dot.png").write_bytes(b"")
     published.publish(thing, page, made, tmp_path)

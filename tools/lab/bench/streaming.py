@@ -179,7 +179,7 @@ def page(options: Options, rows: Sequence[Row], rungs: Sequence[Row]) -> Page:
     scenes, sets = (list(dict.fromkeys(row[name] for row in rows)) for name in ("scene", "links"))
     caption = "PSNR over waiting, means and their 95 % intervals over traces"
     picture = PagePicture("streaming", caption, partial(draw, rows), (4 * len(sets), 3.2 * len(scenes)))
-    section = Section(" ".join(words(rows)), pictures=[picture], tables=[Table("streaming", rows, COLUMNS)])
+    section = Section("", pictures=[picture], tables=[Table("streaming", rows, COLUMNS)])
     return Page([section], how_of(options, rows), data=[Table("streaming-rungs", rungs)])
 
 
@@ -193,20 +193,6 @@ def how_of(options: Options, rows: Sequence[Row]) -> str:
         f"starts in each; {SessionSettings().buffer_s:g} s of buffer. QoE is beside that of {rows[0]['policy']}, "
         "paired, with its 95 % interval over traces."
     )
-
-
-def words(rows: Sequence[Row]) -> list[str]:
-    """What the first policy gives of each scene, and where others are better beyond their error."""
-    first, said = rows[0]["policy"], []
-    for scene in dict.fromkeys(row["scene"] for row in rows):
-        some = [row for row in rows if row["scene"] == scene and row["policy"] == first]
-        parts = [f"{r['psnr']:.1f} dB and waits {100 * r['stalled']:.1f} % of the time over {r['links']}" for r in some]
-        said.append(f"With {first}, {scene} has {listed(parts)}.")
-    better = [f"{r['policy']} ({r['scene']}, {r['links']}: {r['verdict']})" for r in rows if r["sign"] > 0]
-    return [
-        *said,
-        f"Beyond their error better are {listed(better)}." if better else "Nothing is better beyond its error.",
-    ]
 
 
 def draw(rows: Sequence[Row], figure: Figure) -> None:

@@ -53,14 +53,3 @@ def claims(scene: Scene, package: Package, count: int) -> list[Row]:
         rows.append(Row.by(Place("claims", scene.name, DRAWN, str(n)), took, found, OFF))
         rows.append(Row.by(Place("claims", scene.name, LAW, str(n)), took, (law, law, law), OFF))
     return rows
-
-
-def answer(scene: str, rows: list[Row]) -> str:
-    """What one picture is off, and how many take 0.1 dB at most in 19 of 20 claims."""
-    one = next(row.error for row in rows if row.curve == LAW and row.setting == "1")
-    drawn = next(row for row in rows if row.curve == DRAWN and row.setting == str(COUNTS[-1]))
-    return (
-        f"{scene}: a claim from n pictures is off by {one:.2f} dB / √n (standard error, of {drawn.runs} pictures), in "
-        f"{COUNTS[-1]} drawn ones by {drawn.error:.3f}; at most 0.1 dB in 19 of 20 claims take "
-        f"{math.ceil((1.96 * one / 0.1) ** 2)} pictures"
-    )

@@ -1,8 +1,7 @@
 """Error against run time: a question for each part that trades one for the other, with what is known of its settings.
 
-A question is a value: the settings that were measured, and how good they are in one unit. Its answer is computed, in
-pairs with the default over links, pictures or seeds: what is better beyond its error, what is cheaper without a
-difference, or what the next cheaper one costs.
+A question is a value: the settings that were measured, and how good they are in one unit. Each setting stands beside
+the default, in pairs over links, pictures or seeds.
 """
 
 from __future__ import annotations
@@ -11,13 +10,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.policies import DEFAULT_POLICY, HORIZON_SEGMENTS
-from airgs_codec.play.study import SURE_TRACES
 from airgs_codec.play.trace import read_trace
 from airgs_codec.render import cpu
 from airgs_codec.scene.sequence import open_sequence
@@ -43,7 +41,6 @@ class Question:
     log: bool = False  # axis of error
     last: bool = False  # only the last setting of each curve is judged: the others are other tasks
     labels: bool = True  # settings stand beside their points
-    says: Callable[[str, list[Row]], str] | None = None  # its own answer of a scene
 
 
 CPU = "CPU seconds"
@@ -53,7 +50,6 @@ QUESTIONS = (
     ),
     Question(
         "claims", "How many pictures does a claim need?", survey.measure, survey.OFF, CPU, log=True, labels=False,
-        says=survey.answer,
     ),
     Question(
         "decode", "What does a cheaper rung save in decoding?", decode.measure, decode.UNIT, f"{CPU} a frame",
@@ -81,6 +77,11 @@ NAMES = tuple(question.name for question in QUESTIONS)
 
 WIDTH, HEIGHT = 6.0, 3.7  # inches of a scene's axes
 FEW_TICKS = 5
+COLUMNS = {
+    "question": ("question", ""), "scene": ("scene", ""), "setting": ("setting", ""), "curve": ("of", ""),
+    "beside": ("beside", ""), "time": ("share of its time", ".2g"), "gain": ("gains", "+.3g"),
+    "gain_from": ("95 %, from", "+.3g"), "gain_to": ("to", "+.3g"), "unit": ("in", ""),
+}  # fmt: skip
 HOW = (
     "Settings are compared with the default in pairs, over links, pictures or seeds: a difference counts where its "
     "95 % interval leaves zero out (bootstrap), with at least six pairs. Seconds are the CPU's, medians of "
@@ -116,67 +117,46 @@ def run(options: Options, lab: Lab) -> Page:
 def page(rows: Sequence[Row]) -> Page:
     if not rows:
         raise ConfigError("expected rows, got none")
-    sections = []
+    sections, compared = [], list[dict[str, Any]]()
     for question in QUESTIONS:
         some = [row for row in rows if row.question == question.name]
         if some:
             size = WIDTH * len(by_scene(some)), HEIGHT
             picture = PagePicture(f"precision-{question.name}", question.text, partial(draw, question, some), size)
-            sections.append(Section(answer(question, some), question.text, [picture]))
-    return Page(
-        sections,
-        HOW,
-        data=[Table("work_precision", [{k: v for k, v in row.items() if k != "samples"} for row in rows_of(rows)])],
-    )
+            sections.append(Section("", question.text, [picture]))
+            compared += [] if question.default == ("", "") else beside(question, some)
+    plain = [{name: value for name, value in row.items() if name != "samples"} for row in rows_of(rows)]
+    return Page(sections, HOW, data=[Table("work_precision", plain), Table("work_precision-beside", compared, COLUMNS)])
 
 
 def by_scene(rows: Sequence[Row]) -> dict[str, list[Row]]:
     return {scene: [row for row in rows if row.scene == scene] for scene in dict.fromkeys(row.scene for row in rows)}
 
 
-def answer(question: Question, rows: Sequence[Row]) -> str:
-    """Beside the default of each scene: what is better beyond its error, else what is as good, else the next one."""
-    words = []
+def beside(question: Question, rows: Sequence[Row]) -> Iterator[dict[str, Any]]:
+    """Each setting beside the default of its scene: its share of the time, and what it gains."""
     for scene, some in by_scene(rows).items():
-        if question.says:
-            words.append(question.says(scene, some))
-            continue
         judged = list({row.curve: row for row in some}.values()) if question.last else some
         named = [row for row in judged if (row.curve, row.setting) == question.default]
         base = (named or [row for row in judged if row.curve == question.default[0]] or judged)[-1]
-        sign, unit = 1 if question.more else -1, question.unit.split()[0]
-        pairs = {row: [sign * value for value in row.samples] for row in judged}
-        beside = {row: difference(pairs[row], pairs[base]) for row in judged}
-        better = [row for row in judged if beside[row].sign > 0]
-        cheaper = [row for row in judged if row.seconds < base.seconds]
-        same = [row for row in cheaper if not beside[row].sign and len(base.samples) >= SURE_TRACES]
-        note = f", {base.note}" if base.note else ""
-        of = f"{scene}: {named_as(base)}, {figure(base.error)} {question.unit} in {seconds(base.seconds)}{note}"
-        if better or same or cheaper:
-            row = max(better or cheaper, key=lambda row: sign * row.error)
-            row = row if better or not same else min(same, key=lambda row: row.seconds)
-            found = beside[row].words(unit)
-            if len(base.samples) < SURE_TRACES:
-                found = f"{figure(row.error)} {unit}, measured once"
-            of += f"; {named_as(row)}, in {figure(row.seconds / base.seconds)} of the time: {found}"
-        words.append(of)
-    return f"{'. '.join(words)}." if words else ""
-
-
-def named_as(row: Row) -> str:
-    return f"`{row.setting}` ({row.curve})" if row.setting != row.curve else row.curve
-
-
-def seconds(value: float) -> str:
-    if value >= 1:
-        return f"{figure(value)} s"
-    return f"{figure(1e3 * value)} ms" if value >= 1e-3 else f"{figure(1e6 * value)} µs"
-
-
-def figure(value: float) -> str:
-    if value == 0 or abs(value) >= 1e-3:
-        return f"{float(f'{value:.3g}'):,g}"
-    return f"{value:.1e}".replace("e-0", "e-")
+        sign = 1 if question.more else -1
+        for row in judged:
+            known: dict[str, Any] = {
+                "question": question.name,
+                "scene": scene,
+                "curve": row.curve,
+                "setting": row.setting,
+            }
+            known |= {
+                "beside": base.setting,
+                "time": row.seconds / base.seconds,
+                "gain": sign * (row.error - base.error),
+            }
+            found = (
+                difference([sign * v for v in row.samples], [sign * v for v in base.samples]) if row.samples else None
+            )
+            known |= {"gain_from": found and found.low, "gain_to": found and found.high}
+            yield known | {"sign": found.sign if found else 0, "unit": question.unit}
 
 
 def draw(question: Question, rows: Sequence[Row], figure: Figure) -> None:
