@@ -145,7 +145,7 @@ AXES = (
     ),
     Axis("motion", "Motion a frame", moving, (1e-4, 1e-2, 0.1, 1.0, 10.0, 100.0)),
     Axis(
-        "changes", "Motion at the price of changes", partial(moving, temporal=True),
+        "changes", "Motion with the temporal loss", partial(moving, temporal=True),
         (1e-4, 1e-2, 0.3, 10.0),
     ),
     Axis("opacity", "Opacity", faint_or_opaque, (-30.0, -8.0, -5.5, 0.0, 4.0, 14.0, 30.0)),

@@ -53,7 +53,7 @@ LINES = (
     ),
     Line("Distance / extent of the scene", ("train-distance",), "bring cameras to a distance like the extent"),
     Line("Motion a frame / size", ("train-motion",), "expect motion of about a size to be followed"),
-    Line("The same at the price of changes", ("train-changes",), "give such frames more iterations"),
+    Line("The same with the temporal loss", ("train-changes",), "give such frames more iterations"),
     Line("Opacity logits at the start", ("train-opacity",), "start where it can be seen"),
     Line("Steps that matter unequally", ("codec-closed-form", "codec-scenes"), "look for a scene that cameras see"),
     Line("Steps from tiny to huge", ("codec-steps",), "scale scenes to ordinary sizes"),
@@ -89,7 +89,7 @@ def page(cells: Sequence[Cell]) -> Page:
     pictures = []
     if rates := [row_of_rates(case, cells) for case in tried if case.part == "trainer"]:
         head = {"start": ("what is hard", "")} | {name: (f"rate x {name[1:]}", ".2g") for name in RATES.values()}
-        tables.append(Table("stiff-rates", rates, head))
+        tables.insert(0, Table("stiff-rates", rates, head))
         pictures = [
             PagePicture(
                 "stiff-rates", "Loss after thirty iterations, over learning rates", partial(draw, rates), (7, 3.2)
