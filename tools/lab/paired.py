@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from airgs_codec.play.study import NONE, interval
+from airgs_codec.play.study import NOT_SEEN, interval
 
 
 class Difference(NamedTuple):
@@ -18,7 +18,7 @@ class Difference(NamedTuple):
 
     def words(self, unit: str, more: str = "better", less: str = "worse") -> str:
         if not self.sign:
-            return f"{NONE.lower()} ({self.low:.2f} to {self.high:.2f} {unit})"
+            return f"{NOT_SEEN.lower()} ({self.low:.2f} to {self.high:.2f} {unit})"
         low, high = sorted(abs(v) for v in (self.low, self.high))
         return f"{abs(self.mean):.2f} {unit} {more if self.sign > 0 else less} ({low:.2f} to {high:.2f})"
 
