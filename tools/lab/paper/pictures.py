@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from tools.lab.paper.training import PAPER, SUMMED, Trained
+from tools.lab.paper.training import PAPER, SEEDED, SUMMED, Trained
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 COLOURS = {
     "airgs": "#d62728",
     PAPER: "#ff7f0e",
+    SEEDED: "#ff7f0e",
     SUMMED: "#000000",
     "v3": "#1f77b4",
     "3dgstream": "#2ca02c",

@@ -109,7 +109,7 @@ def _stream(subject: Subject, means: Means) -> Method:
     return Stream3dgs(means.less(StreamSettings(first, most_added=means.rows - (first.budget or 0))))
 
 
-PAPER, SUMMED = "airgs-paper", "paper, sum"
+PAPER, SUMMED, SEEDED = "airgs-paper", "paper, sum", "paper, seeded"
 ABLATIONS: dict[str, tuple[str, dict[str, Any]]] = {  # our trainer: a preset, and what differs from it
     "airgs": ("default", {}),
     "airgs, tau alone": ("default", {"min_psnr_db": 30.0, "max_drop_db": math.inf}),
@@ -118,7 +118,7 @@ ABLATIONS: dict[str, tuple[str, dict[str, Any]]] = {  # our trainer: a preset, a
     "paper, mean of elements": ("paper", {"temporal": Temporal(1e-3, "elements", 1.0)}),
     "paper, no keyframes": ("paper", {"min_psnr_db": 0.0}),
     "paper, no inflation loss": ("paper", {"inflation": 0.0}),
-    "paper, seeded": ("paper", {"seeds": True}),
+    SEEDED: ("paper", {"seeds": True}),
 }
 
 
