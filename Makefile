@@ -4,6 +4,7 @@ BIN := .venv/bin
 FOX := tests/data/fox
 OUT := build/demo
 HEAD := manifests/showcase/head.airgs
+TALK := manifests/showcase/talk
 
 VIEWS := tests/data/fox_views
 
@@ -35,18 +36,17 @@ page: web/node_modules/installed
 demo: .venv/installed web/node_modules/installed
 	mkdir -p $(OUT)
 	-$(BIN)/python -m tools.screenshot $(HEAD) -o $(OUT)/head.png
-	@echo "A picture of it playing: $(OUT)/head.png. To watch it: $(BIN)/airgs-serve $(HEAD), then open the address it says."
+	@echo "A picture of it playing: $(OUT)/head.png. To watch it: $(BIN)/airgs-serve $(HEAD) --open"
 	@echo
-	$(BIN)/airgs-encode $(FOX) -o $(OUT)/fox.airgs
-	$(BIN)/airgs-manifest inspect $(OUT)/fox.airgs --plot $(OUT)/ladder.png
-	$(BIN)/airgs-manifest validate $(OUT)/fox.airgs
-	$(BIN)/airgs-play $(OUT)/fox.airgs --trace $(FOX)/trace.csv --report $(OUT)/report
-	-$(BIN)/python -m tools.screenshot $(OUT)/fox.airgs -o $(OUT)/browser.png
+	$(BIN)/airgs-encode $(TALK) -o $(OUT)/talk.airgs
+	$(BIN)/airgs-manifest inspect $(OUT)/talk.airgs --plot $(OUT)/ladder.png
+	$(BIN)/airgs-manifest validate $(OUT)/talk.airgs
+	$(BIN)/airgs-play $(OUT)/talk.airgs --trace $(FOX)/trace.csv --report $(OUT)/report
 	@echo
-	@echo "Pictures: $(OUT)/browser.png, $(OUT)/ladder.png, $(OUT)/report/index.html. What to do next:"
-	@echo "  $(BIN)/airgs-serve $(OUT)/fox.airgs    # play it in a browser"
-	@echo "  make demo-study                       # compare policies over networks"
-	@echo "  make demo-train                       # train a scene from pictures, then encode it"
+	@echo "Pictures: $(OUT)/ladder.png, $(OUT)/report/index.html. What to do next:"
+	@echo "  $(BIN)/airgs-serve $(OUT)/talk.airgs --open    # play it in a browser"
+	@echo "  make demo-study                              # compare policies over networks"
+	@echo "  make demo-train                              # train a scene from pictures, then encode it"
 
 demo-train: .venv/installed
 	$(BIN)/airgs-train $(VIEWS) -o $(OUT)/trained --iterations 1000,600,150 --resume --report $(OUT)/training

@@ -78,6 +78,7 @@ from airgs_codec.package.region import (
 from airgs_codec.package.publish import set_view
 from airgs_codec.inspect.validate import exceeded, validate, validate_files
 from airgs_codec.inspect.errors import measure_errors
+from airgs_codec.inspect.stiff import stiff_cases
 from airgs_codec.inspect.summary import describe_left_out, format_ladder, format_summary, plot_ladder, summarise
 from airgs_codec.inspect.compare import (
     LABEL, comparable, compare_streams, compare_two, compared_views, comparison_json, difference_gain, format_two,
@@ -132,7 +133,7 @@ from airgs_codec.play.study import (
 )  # fmt: skip
 from airgs_codec.play.session import SessionLog, play, session_bound, simulate
 from airgs_codec.play.policies import (
-    ADAPTIVE, Coming, Download, POLICY_NAMES as NAMES, PlayerState, Policy, STALL_DB, estimate_throughput, make_policy,
+    ADAPTIVE, Coming, Download, POLICY_NAMES as NAMES, PlayerState, Policy, estimate_throughput, make_policy,
 )  # fmt: skip
 from airgs_codec.play.bound import Slot, solve_horizon
 
@@ -142,6 +143,7 @@ from airgs_codec.serve.app import (
 )  # fmt: skip
 from airgs_codec.serve.pages import PAGE_TYPES, content_policy, describe, is_built, list_page
 from airgs_codec.serve.export import export_page
+from airgs_codec.serve.scenes import Scenes
 
 # Work in jobs
 from airgs_codec.jobs.executors import DaskCluster, Processes
@@ -154,6 +156,7 @@ from airgs_codec.cli.manifest import main as airgs_manifest
 from airgs_codec.cli.play import main as airgs_play
 from airgs_codec.cli.serve import main as airgs_serve
 from airgs_codec.cli.train import main as airgs_train
+from airgs_codec.cli.terminal import Bar
 from airgs_codec.cli.train import match_cameras
 
 join_rows = Gaussians.join

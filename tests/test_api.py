@@ -119,15 +119,6 @@ def test_other_processes_draw_however_they_are_started_after_this_one_has_drawn(
     python(tmp_path, "others.py", PACKAGE)
 
 
-def test_a_frame_of_a_loader_is_drawn_in_its_workers():
-    data = pytest.importorskip("torch.utils.data")
-    sequence = airgs.open_sequence(FOX)
-    camera = sequence.cameras[0]
-    airgs.draw(sequence[0], camera)
-    loader = data.DataLoader(sequence, num_workers=1, collate_fn=lambda g: airgs.draw(g[0], camera).rgb, timeout=60)
-    assert len(list(loader)) == len(sequence)
-
-
 @pytest.fixture(scope="module")
 def public():
     package, sequence = airgs.open_package(PACKAGE), airgs.open_sequence(FOX)

@@ -11,8 +11,8 @@ from tools import check_docs
 
 MOST_WORDS = {"README.md": 800, "CONTRIBUTING.md": 1000, "FORMAT.md": 5200}
 USER_PAGES = [
-    "README", "browser", "encoding", "farm", "formats", "playing", "python", "security", "serving", "tracking",
-    "training",
+    "README", "browser", "encoding", "farm", "formats", "playing", "python", "security", "serving", "tools",
+    "tracking", "training",
 ]  # fmt: skip
 
 
@@ -27,6 +27,7 @@ def shops(tmp_path_factory):
     (data / "fox_views").symlink_to(FOX_VIEWS)
     settings = EncodeSettings(calibrate="none", measure_pictures=2, preset="ultrafast")
     encode(open_sequence(data / "fox"), few.folder / "fox.airgs", settings)
+    (few.folder / "talk.airgs").symlink_to(few.folder / "fox.airgs")
     return {True: whole, False: few}
 
 

@@ -7,10 +7,11 @@ its program (a command, a module run by python -m, a target of the Makefile); ea
 name of airgs_codec and each option exists; each relative link leads somewhere.
 
 With --run, as in tests/test_docs.py, the ```sh and ```python blocks of the user pages are run as well, in page order
-and in one folder with links to tests/ and tools/. A command that stands on several pages is run once. Blocks marked
-```sh not-run need data that is not in the repository. A ```text block that comes next is what the block prints: its
-lines must come in that order, and "…" stands for any lines between. Whole numbers must be equal; others may differ by
-SHARE, which is 0.3 dB at 44 dB, or by one unit of the last digit shown. Exit status 1 with one line a finding.
+and in one folder with links to manifests/, tests/ and tools/. A command that stands on several pages is run once.
+Blocks marked ```sh not-run need data that is not in the repository. A ```text block that comes next is what the block
+prints: its lines must come in that order, and "…" stands for any lines between. Whole numbers must be equal; others
+may differ by SHARE, which is 0.3 dB at 44 dB, or by one unit of the last digit shown. Exit status 1 with one line a
+finding.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ def user_pages() -> list[Path]:
 
 def pages() -> list[Path]:
     others = [page for page in sorted(REPOSITORY.glob("*.md")) if page.name != "README.md"]
-    deeper = [REPOSITORY.glob(pattern) for pattern in ("docs/*/*.md", "tests/*/*.md", "manifests/*/*.md")]
+    deeper = [REPOSITORY.glob(pattern) for pattern in ("docs/*/*.md", "tests/*/*.md", "manifests/*/*.md", "web/*.md")]
     return [*user_pages(), *others, *(page for found in deeper for page in sorted(found))]
 
 
@@ -251,7 +252,7 @@ class Workshop:
     printed: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("tests", "tools"):
+        for name in ("manifests", "tests", "tools"):
             (self.folder / name).symlink_to(REPOSITORY / name)
 
     def run_page(self, page: Path) -> Iterator[str]:

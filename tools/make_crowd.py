@@ -1,22 +1,17 @@
-"""Write a crowd of animated models as frames of tracked Gaussians, 30 a second, with cameras around it.
+"""A crowd of animated models as frames of tracked Gaussians, 30 a second.
 
-    python -m tools.make_crowd MODELS OUT [--gaussians 120000] [--seconds 2]
-
-MODELS is a folder of .glb files with skins and animations, such as Fox (PixelMannen, CC0; rig by @tomkranis, CC-BY 4.0)
-and RiggedFigure (Cesium, CC-BY 4.0) of Khronos, and Knight of KayKit (Kay Lousberg, CC0). There is one of them for
-every 10,000 Gaussians, in turn, each with a clip and a moment of its own. Gaussians are round discs at fixed places of
+Models are .glb files with skins and animations, such as Fox (PixelMannen, CC0; rig by @tomkranis, CC-BY 4.0) and
+RiggedFigure (Cesium, CC-BY 4.0) of Khronos, and Knight of KayKit (Kay Lousberg, CC0). There is one of them for every
+10,000 Gaussians, in turn, each with a clip and a moment of its own. Gaussians are round discs at fixed places of
 triangles, as many on every part of the surface, in the colours of the first picture under the light of the first frame.
 T frames, V vertices, F triangles, J joints, N Gaussians. Matrices take points of a node to the world.
 """
 
 from __future__ import annotations
 
-import argparse
 import io
-import json
 import re
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +22,8 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation, Slerp
 
-from airgs_codec.scene.camera import dome_views
 from airgs_codec.scene.formats.gltf import local_matrix, open_gltf, read_accessor
-from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
-from tools.lab.made import camera_entry
 
 Floats = NDArray[np.float64]
 PUT_AWAY = re.compile("Offhand|Badge|Rectangle|Spike|2H_")  # nodes of what nobody holds at once
@@ -40,7 +32,6 @@ HEIGHTS = {"Fox": 0.8}  # world units; of the others 1.7
 FPS, EACH, APART = 30, 10_000, 0.75  # frames a second, Gaussians of one, the radius of the circle that it has
 LIGHT = np.array([0.4, 0.8, 0.45])  # of length 1
 SIZE, THIN, OPACITY = 0.56, 0.1, 4.0  # deviation in distances to neighbours, thickness in deviations, logit
-CAMERAS, PIXELS, RISES = 20, 512, (0.15, 0.9)  # of which every fifth is held out; radians above the horizon
 
 
 class Model:
@@ -154,23 +145,3 @@ def _turns(corners: Floats) -> Rotation:
     z = np.cross(x, corners[:, 2] - corners[:, 0])
     x, z = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (x, z))
     return Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=2))
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("models", type=Path, metavar="MODELS")
-    parser.add_argument("out", type=Path, metavar="OUT")
-    parser.add_argument("--gaussians", type=int, default=120_000, metavar="N")
-    parser.add_argument("--seconds", type=float, default=2.0, metavar="S")
-    args = parser.parse_args()
-    args.out.mkdir(parents=True)
-    models = [Model(path) for path in sorted(args.models.glob("*.glb"))]
-    for t, frame in enumerate(crowd(models, args.gaussians, round(FPS * args.seconds))):
-        write_ply(args.out / f"{t:06d}.ply", frame)
-    views = enumerate(dome_views(frame, CAMERAS, PIXELS, np.array([0.0, 1, 0]), RISES))
-    entries = [camera_entry(replace(view, split="train" if i % 5 else "test"), "", 0) for i, view in views]
-    (args.out / "transforms.json").write_text(json.dumps({"fps": FPS, "frames": entries}))
-
-
-if __name__ == "__main__":
-    main()

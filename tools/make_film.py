@@ -33,8 +33,8 @@ HEAD = REPOSITORY / "manifests" / "showcase" / "head.airgs"
 TRACE = REPOSITORY / "tests" / "data" / "fox" / "trace.csv"
 EVERY, FPS = 2, 15  # frames of the package, and pictures a second
 WIDTH, HEIGHT, CHART_HEIGHT = 720, 405, 130
-BUFFER_S = 1.5  # short, so that the choices follow the link
-OFFSET_S, SCALE = 282.0, 0.34  # of the trace: a stretch where the rate falls and comes back
+BUFFER_S = 2.0  # short, so that the choices follow the link
+OFFSET_S, SCALE = 120.0, 0.34  # of the trace: a stretch where the rate falls and comes back
 QUALITY = 70  # of WebP
 
 

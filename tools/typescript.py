@@ -50,18 +50,8 @@ def files() -> dict[str, str]:
 def constants() -> dict[ModuleType, dict[str, Any]]:
     """The name and the value of each constant in TypeScript, by the module that has it."""
     return {
-        tables: _same(
-            tables,
-            "VERSION",
-            "PAGE",
-            "DIGEST",
-            "BLOCK",
-            "STATIC",
-            "LEAST_CLASS",
-            "MOST_CLASS",
-            "MOST_WIDER",
-            "TRANSFORM_UNITS",
-        )
+        tables: _same(tables, "VERSION", "PAGE", "DIGEST", "BLOCK", "STATIC", "LEAST_CLASS", "MOST_CLASS", "MOST_WIDER")
+        | _same(tables, "TRANSFORM_UNITS")
         | {
             "LIMITS": {"bits": tables.GRID_BITS, "side": tables.MAX_PICTURE_SIDE, "macroblocks": tables.MAX_MACROBLOCKS}
             | {"pages": tables.MAX_PAGES}

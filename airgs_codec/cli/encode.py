@@ -18,6 +18,7 @@ from pathlib import Path
 from airgs_codec._settings import required, setting
 from airgs_codec.analysis.rows import AUTO
 from airgs_codec.analysis.viewpoints import GUESS
+from airgs_codec.cli.estimate import of_encode
 from airgs_codec.cli.options import (
     AXIS,
     BUCKET,
@@ -123,6 +124,9 @@ def encode(options: Encode) -> int:
         warn(words)
     stored = options.workers.work
     with Bar(options.json) as bar, options.workers.opened(bar) as work, ExitStack() as stack:
+        if not (options.json or options.plan is True):
+            rows: Given = {"goal": goal is not None, "lost": bool(words), "track": track}
+            bar.expect(target, *of_encode(sequence, settings, **rows))
         if track:
             models = Path(stored) if stored and not is_address(stored) else None
             sequence = stack.enter_context(tracked(sequence, open_renderer(options.device), work, models))
@@ -171,7 +175,8 @@ def _open(options: Encode) -> GaussianSequence:
         return open_frames(options.scene, quiet=options.json, **how, **vars(options.baking))
     if options.track or any(vars(options.baking).values()):
         raise ConfigError(f"{options.scene}: expected frames for --track, --bake-fps and --duration, got pictures")
-    model = train_model(Train(scene=folder, fps=options.fps, device=options.device, resume=True), options.json)
+    with Bar(options.json) as bar:
+        model = train_model(Train(scene=folder, fps=options.fps, device=options.device, resume=True), bar)
     return replace(open_sequence(model.folder, **how), credit=read_attribution(folder))
 
 

@@ -40,6 +40,7 @@ class Inspect:
 
 def inspect(options: Inspect) -> int:
     """Show groups, tiers, levels, rungs, bytes and what was left out."""
+    from airgs_codec.inspect.stiff import stiff_cases
     from airgs_codec.inspect.summary import format_summary, plot_ladder, summarise
 
     if options.plot:
@@ -48,8 +49,13 @@ def inspect(options: Inspect) -> int:
     tables = package.manifest, package.manifest_bytes
     if options.plot:
         plot_ladder(*tables, options.plot)
-    picture = f"\npicture: {options.plot}" if options.plot else ""
-    say(json.dumps(summarise(*tables)) if options.json else format_summary(*tables) + picture)
+    stiff = stiff_cases(package)
+    more = [*(f"stiff: {line}" for line in stiff), *([f"picture: {options.plot}"] if options.plot else [])]
+    say(
+        json.dumps(summarise(*tables) | {"stiff": stiff})
+        if options.json
+        else "\n".join([format_summary(*tables), *more])
+    )
     return 0
 
 

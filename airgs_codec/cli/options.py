@@ -61,8 +61,8 @@ airgs-train views/ -o model/ --resume
 airgs-play scene.airgs --trace const:8
 airgs-play scene.airgs --trace trace.csv --policy bola --video film.mp4
 airgs-play scene.airgs --compare --traces traces/
-airgs-serve scene.airgs
-airgs-serve packages/ --port 9000
+airgs-serve manifests/showcase/head.airgs --open
+airgs-serve frames/
 airgs-serve packages/ --host 0.0.0.0 --certificate chain.pem --key key.pem
 airgs-manifest inspect scene.airgs
 airgs-manifest inspect scene.airgs --plot rungs.png

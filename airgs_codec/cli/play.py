@@ -39,7 +39,7 @@ from airgs_codec.play.trace import DEFAULT_RTT_S, TRACE_ENDS, Link, Trace
 from airgs_codec.render.backend import open_renderer
 
 COMPARED = (DEFAULT_POLICY, *(name for name in POLICY_NAMES if name not in (DEFAULT_POLICY, "oracle-lp")))
-TRACES = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBPS or markov:SEED[:MBPS]"
+TRACES = "a file (rows of times and rates, sabre JSON, mahimahi), const:MBPS or markov:SEED[:MBPS]"
 
 
 @as_options
@@ -89,7 +89,7 @@ def play(options: Play) -> int:
     if not options.trace:
         raise ConfigError(
             "expected --trace, of whose link a viewer is simulated, such as const:8, or --compare with --traces; "
-            f"to watch the package: airgs-serve {options.package}"
+            f"to watch the package: airgs-serve {options.package} --open"
         )
     trace = replace(Trace.open(options.trace).cut(options.offset, options.scale), end=options.end)
     log = simulate(package, Link.over(trace, options.rtt_s), options.policy, rules, find_faults(package))

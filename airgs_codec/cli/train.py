@@ -13,6 +13,7 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 from airgs_codec._settings import required, setting
+from airgs_codec.cli.estimate import of_training
 from airgs_codec.cli.options import (
     CUDA,
     DEVICE,
@@ -79,13 +80,14 @@ class Train:
 
 def train(options: Train) -> int:
     """Train Gaussians that move, from multi-view video or frames that share no rows, for airgs-encode."""
-    model = train_model(options, options.json)
+    with Bar(options.json) as bar:
+        model = train_model(options, bar)
     say(json.dumps(summary(model)) if options.json else _as_words(model, options.report))
     return 0
 
 
-def train_model(options: Train, quiet: bool) -> ModelFolder:
-    """Return the model that the options ask for; unless `quiet`, say what was found and print a line a frame."""
+def train_model(options: Train, bar: Bar) -> ModelFolder:
+    """Return the model that the options ask for; unless the bar is quiet, say what was found and a line a frame."""
     require_torch()
     expect_report(options.report)
     folder = model_folder(options.scene, options.output)
@@ -101,20 +103,27 @@ def train_model(options: Train, quiet: bool) -> ModelFolder:
     elsewhere = options.workers.executor and options.device == "cuda"  # the workers have it
     renderer = open_renderer("auto" if elsewhere else options.device)
     device = "cuda" if elsewhere else renderer.device
+    known = known_offsets(folder) if options.resume else None
     if isinstance(opened, GaussianSequence):
-        settings, scene = _settings(options, track_settings(opened)), pictured(opened, renderer)
+        settings, span = _settings(options, track_settings(opened)), (0, len(opened))
     else:
         settings = _settings(options, default_settings(device), sum(not c.held_out for c in opened.cameras))
         if settings.group_frames is None and shared:
             raise ConfigError(f"{shared}: expected --group-frames, without which each frame follows the one before")
-        known = known_offsets(folder) if options.resume else None
-        scene = match_cameras(opened, parse_frames(options.frames), options.sync, known, quiet=quiet)
+        span = frames_of(opened, parse_frames(options.frames))
+    if known is None:
+        bar.expect(str(folder), *of_training(opened, len(range(*span)), settings, device))
+    if isinstance(opened, GaussianSequence):
+        scene = pictured(opened, renderer, bar)
+    else:
+        scene = match_cameras(opened, span, options.sync, known, bar)
     run = open_run(scene, folder, settings, resume=options.resume, device=device)
     record, due_s, said = run.model.record, 0.0, set[str]()
-    if not (quiet or shared or run.model.finished()):
+    if not (bar.quiet or shared or run.model.finished()):
         seen, left = run.capture.pictures.cameras(), record.total - len(record.frames)
         held_out = sum(camera.held_out for camera in seen)
         cameras = f"{len(seen) - held_out} training cameras and {held_out} held out"
+        bar.close()
         say(f"{scene.path}: {left} frames of {seen[0].width}x{seen[0].height}, {cameras}")
 
     def page() -> None:
@@ -122,11 +131,11 @@ def train_model(options: Train, quiet: bool) -> ModelFolder:
         if options.report:
             write_report(run.model, exposed, options.report, renderer)
 
-    with Bar(quiet) as bar, options.workers.opened(bar, {"GPU": 1} if device == "cuda" else None) as work:
+    with options.workers.opened(bar, {"GPU": 1} if device == "cuda" else None) as work:
         for frame in train_in_jobs(run, work) if work.elsewhere else train_frames(run, work.progress):
             record, begun_s = run.model.record, time.monotonic()
             bar.close()
-            if not quiet:
+            if not bar.quiet:
                 say(_frame_line(frame, record.exposure))
             for warning in set(record.warnings()) - said:
                 warn(f"warning: {warning}")
@@ -158,7 +167,7 @@ def _scene(options: Train) -> MultiviewScene:
 
 
 def match_cameras(
-    scene: MultiviewScene, span: tuple[int, int | None], sync: str, known: Mapping[str, float] | None, *, quiet: bool
+    scene: MultiviewScene, span: tuple[int, int | None], sync: str, known: Mapping[str, float] | None, bar: Bar
 ) -> MultiviewScene:
     """Return the frames [A, B) of a scene with its cameras in step, as --sync says; what was found is said.
 
@@ -166,14 +175,14 @@ def match_cameras(
     """
     from airgs_codec.trainer.data.sync import find_offsets, in_step, read_offsets  # what they import takes a second
 
-    for note in () if quiet else scene.notes:
+    for note in () if bar.quiet else scene.notes:
         say(f"{scene.path}: {note}")
     if sync != AUTO or known is not None:
         return in_step(scene, {} if sync == OFF else read_offsets(Path(sync)) if sync != AUTO else known or {}, span)
-    with Bar(quiet) as bar:
-        found = find_offsets(scene, span, bar)
+    found = find_offsets(scene, span, bar)
+    bar.close()
     matched = in_step(scene, found, span)
-    if found and not quiet:
+    if found and not bar.quiet:
         order = sorted(found, key=lambda name: -abs(found[name]))
         words = [f"{name} is {abs(found[name]):g} frames {'late' if found[name] > 0 else 'early'}" for name in order]
         left = f"all have {len(matched)} of {len(range(*frames_of(scene, span)))} frames"

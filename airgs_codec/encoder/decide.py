@@ -49,7 +49,9 @@ def choose(
     sequence, renderer, watch = ordered.sequence, open_renderer(settings.device), Stopwatch()
     in_order = f"{len(ordered.restored.matched)} frames were put in order"
     choices = [Choice("order of Gaussians", in_order, ordered.seconds)]
+    progress("views", 0, 1)
     views, notes = choose_views(sequence, settings, renderer)
+    progress("views", 1, 1)
     choices.append(Choice("views", region_words(views.region), watch.lap()))
     settings = replace(settings, steps=settings.steps.at_scale(views.scale))
     if goal and goal.metric == DELTA_E:

@@ -127,6 +127,7 @@ def encode_groups(
     """Encode all groups and give each, with its number, when it is there: in order, but for runs that are jobs."""
     if not jobs.elsewhere:
         groups = plan.frames(sequence)
+        jobs.progress("encoding", 0, len(groups))
         for done, (frames, group) in enumerate(zip(groups, fold(groups, plan, surveys), strict=True), 1):
             jobs.progress(f"encoding: {frames.words}", done, len(groups))
             yield frames.number, group

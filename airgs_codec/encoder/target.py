@@ -180,7 +180,7 @@ def search_quality(
         top = replace(settings, levels=settings.levels[:1], keyframe_factors=settings.keyframe_factors[:1])
 
     def trial(factor: float) -> float:
-        progress(f"trial {len(trials) + 1}: quality factor {factor:.3g}", 0, 1)
+        progress(f"search: trial {len(trials) + 1}, quality factor {factor:.3g}", len(trials), TRIALS)
         tried = replace(plan, settings=top.at(factor))
         encoded = list(fold(sample, tried, known))
         m = build_manifest(tried, sequence, "", [group.table for group in encoded], b"")[0]

@@ -27,9 +27,11 @@ from airgs_codec.play.downloader import Arrived, BatchKind, Cut, Displayed, Even
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.player import SHORTEST_S
 from airgs_codec.play.playout import SessionSettings
-from airgs_codec.play.policies import STALL_DB
 from airgs_codec.play.trace import Link
 
+# QoE loses this for as much waiting as play: Puffer counts 100 dB a second, in chunks of two (Yan et al., NSDI 2020),
+# Yin et al. (SIGCOMM 2015) what the best rung shows, in chunks of four: some 170 here.
+WAITING_DB = 200.0
 NEXT = (BatchKind.GROUP, BatchKind.DELTA)  # batches of the segment that comes next
 
 
@@ -71,7 +73,7 @@ class SessionMetrics:
     psnr_p5: float | None  # dB, 5th percentile of the same
     delta_e_mean: float | None  # CIEDE2000, mean over display ticks as for psnr_mean
     change_db: float  # mean change of PSNR from one segment to the next
-    qoe: float | None  # dB a segment: quality - changes - STALL_DB a second of waiting
+    qoe: float | None  # dB: mean quality of segments - mean change - WAITING_DB * stall_s / played_s
     bytes: Mapping[str, int]  # by FileKind, of files that were of use, without headers
     bytes_per_frame: float
     bits_per_gaussian: float  # the same in bits, for each Gaussian that a frame shows; 0 where none is shown
@@ -174,7 +176,7 @@ class SessionLog:
             psnr_p5=float(np.percentile(psnr, 5)) if len(psnr) else None,
             delta_e_mean=float(np.mean([rung.delta_e for rung in seen])) if seen else None,
             change_db=float(np.mean(changes)) if changes else 0.0,
-            qoe=(sum(quality) - sum(changes) - STALL_DB * stall) / len(quality) if quality else None,
+            qoe=(sum(quality) - sum(changes)) / len(quality) - WAITING_DB * stall / played if quality else None,
             bytes={kind.value: size for kind, size in self.bytes_by_kind.items()},
             bytes_per_frame=sum(self.bytes_by_kind.values()) / frames,
             bits_per_gaussian=8 * sum(self.bytes_by_kind.values()) / drawn if drawn else 0.0,

@@ -29,7 +29,7 @@ SAFETY = 0.9  # share of the estimated throughput that is spent
 HALF_LIVES_S = (3.0, 8.0)  # of the two throughput averages; the smaller one counts (as in dash.js)
 BUFFER_SHARE = 0.5  # of the buffered time that one segment may use
 RESERVE_S = 3.0  # of media time that BOLA and the model-predictive controller keep
-STALL_DB = 20.0  # quality that a second of waiting is worth (Puffer's coefficient)
+STALL_DB = 20.0  # what the controller pays for a second of waiting (as that of Puffer does)
 # Of the model-predictive controller, in dB times seconds; chosen on the Ghent 4G traces, none of which is in the
 # studies of the documentation.
 SWITCH_DB = 0.25  # cost of a change of quality by 1 dB from one segment to the next

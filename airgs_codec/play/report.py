@@ -93,7 +93,7 @@ def _readable(log: SessionLog) -> dict[str, str]:
         "wire": f"{m.wire_bytes / 1e3:.1f} kB with headers{used}",
         "wasted": f"{100 * m.wasted:.1f} %: {m.replaced} replacements, {m.abandoned} abandoned",
         "ΔE on screen": cell(m.delta_e_mean, "mean {:.2f} (CIEDE2000; about 1 is just noticeable)".format),
-        "QoE": cell(m.qoe, "{:.2f} dB: quality - changes - 20 dB for a second of waiting".format),
+        "QoE": cell(m.qoe, "{:.2f} dB: quality - changes - 2 dB for a hundredth of waiting".format),
         "best possible": cell(bound, "at most {:.2f} dB at the same moments, mean of segments".format),
         "regret": "-" if bound is None else f"{bound - log.mean_quality:.2f} dB less than that",
         "lost": f"{m.lost_frames} frames; {listed(log.lost)}" if log.lost else "-",

@@ -32,12 +32,14 @@ from airgs_codec.progress import Progress, silent
 
 FEASIBLE_START_S = 2.0  # start-up by which the smallest rungs must play without a stall
 RESAMPLES = 2000
+NOT_SEEN = "No difference found"  # beyond its error
 SURE_TRACES = 6  # with fewer, all on one side are chance more than once in twenty times (sign test)
 Row = dict[str, Any]  # what is known of one session or run, by name
 HEADLINES: dict[str, tuple[str, Form]] = {
-    "policy": ("policy", ""), "psnr_mean": ("PSNR dB", ".2f"), "psnr_p5": ("5th %ile dB", ".2f"),
-    "stall_ratio": ("stalled", ".2%"), "startup_s": ("start-up s", ".2f"), "switches": ("switches", ".1f"),
-    "bytes_per_frame": ("kB/frame", lambda size: f"{size / 1e3:.2f}"), "regret": ("regret dB", ".2f"),
+    "policy": ("policy", ""), "psnr_mean": ("PSNR dB", ".2f"), "stall_ratio": ("stalled", ".2%"),
+    "qoe": ("QoE dB", ".2f"), "psnr_p5": ("5th %ile dB", ".2f"), "startup_s": ("start-up s", ".2f"),
+    "switches": ("switches", ".1f"), "bytes_per_frame": ("kB/frame", lambda size: f"{size / 1e3:.2f}"),
+    "regret": ("regret dB", ".2f"),
 }  # fmt: skip
 
 
@@ -109,14 +111,16 @@ def run_study(package: str | Path, settings: StudySettings, progress: Progress =
     progress("sessions", 0, len(settings.traces))
     # A fork has no threads, and clients of object stores live on them.
     with ProcessPoolExecutor(settings.jobs, multiprocessing.get_context("spawn")) as pool:
-        for done, some in enumerate(pool.map(_one_trace, repeat(package), settings.traces, repeat(settings)), 1):
+        for done, some in enumerate(pool.map(sessions, repeat(package), settings.traces, repeat(settings)), 1):
             rows += some
             progress("sessions", done, len(settings.traces))
     return Study(settings, Path(package).name, tuple(rows))
 
 
-def _one_trace(package: str | Path, name: str, settings: StudySettings) -> list[Row]:
-    c, whole, rows = Offers.of(open_package(package)), Trace.open(name), []
+def sessions(package: str | Path | Offers, name: str, settings: StudySettings) -> list[Row]:
+    """Return a row for every session over a trace."""
+    c = package if isinstance(package, Offers) else Offers.of(open_package(package))
+    whole, rows = Trace.open(name), []
     rules = replace(settings.session, loops=c.loops(settings.session.loops))
     for offset in offsets_of(whole, settings.offsets, settings.seed):
         trace = replace(whole.cut(offset, settings.scale), end=settings.end)
@@ -142,6 +146,10 @@ class Interval(NamedTuple):
     mean: float
     low: float
     high: float
+
+    def sign(self, groups: Sequence[str]) -> int:
+        """Return 1 or -1 where a mean is beyond its error, over enough different groups, else 0."""
+        return (len(set(groups)) >= SURE_TRACES) * ((self.low > 0) - (self.high < 0))
 
 
 def interval(values: NDArray[np.float64], groups: Sequence[str]) -> Interval:
@@ -189,6 +197,7 @@ def format_study(study: Study) -> str:
     for rows, kind in ((record["all"], "links in all:"), (record["feasible"], words)):
         means = [{"policy": row["policy"], **{name: row["figures"][name].mean for name in FIGURES}} for row in rows]
         if count := rows[0]["sessions"]:
+            means.sort(key=lambda row: -float(np.nan_to_num(row["qoe"])))
             lines += [f"{count} {kind}", Table("", means, HEADLINES).to_text(), ""]
     return "\n".join([*lines, *record["answer"].values()])
 
@@ -211,26 +220,29 @@ def study_answer(study: Study) -> dict[str, str]:
     measured = any(row["qoe"] is not None for row in study.rows)
     # Where quality was not measured, only waiting counts.
     goodness = {p: study.of(p, "qoe") if measured else -100 * study.of(p, "stall_ratio") for p in players}
-    best, *others = sorted(players, key=lambda p: -float(np.nan_to_num(goodness[p]).mean()))
+    best, *_ = ranked = sorted(players, key=lambda p: -float(np.nan_to_num(goodness[p]).mean()))
     traces = [row["trace"] for row in study.rows if row["policy"] == best]
 
-    def lead(other: str) -> tuple[Interval, str]:
-        found = interval(goodness[best] - goodness[other], traces)
-        return found, "" if len(set(traces)) >= SURE_TRACES and found.low > 0 else ", which may be chance"
+    def lead(one: str, other: str) -> Interval:
+        return interval(goodness[one] - goodness[other], traces)
 
-    waits, mean_db = 100 * study.of(best, "stall_ratio").mean(), interval(study.of(best, "psnr_mean"), traces).mean
-    shows = f"it shows {mean_db:.1f} dB and" if measured else "what it shows was not measured, and it"
-    good = [f"{best} does best on {len(traces)} links: {shows} waits {waits:.1f} % of the time."]
-    if others:
-        found, chance = lead(others[0])
-        words = f"Its QoE (quality less changes and 20 dB for a second of waiting) is {found.mean:.2f} dB above that of"
+    take = DEFAULT_POLICY if DEFAULT_POLICY in players and lead(best, DEFAULT_POLICY).sign(traces) < 1 else best
+    waits, mean_db = 100 * study.of(take, "stall_ratio").mean(), interval(study.of(take, "psnr_mean"), traces).mean
+    shows = f"shows {mean_db:.1f} dB and" if measured else "shows what was not measured, and"
+    good = [f"{take} {shows} waits {waits:.1f} % of the time on {len(traces)} links."]
+    for other in [p for p in ranked if p != take][:1]:
+        found = lead(take, other)
+        span = f"{found.low:.2f} to {found.high:.2f} over traces"
+        words = (
+            f"Its QoE (quality less changes and 2 dB for a hundredth of waiting) is {found.mean:.2f} dB above that of"
+        )
         words = words if measured else f"It waits {found.mean:.1f} % less than"
-        good.append(f"{words} {others[0]}, the next ({found.low:.2f} to {found.high:.2f} over traces{chance}).")
-    change = f"Give more --traces: the lead over {DEFAULT_POLICY}, the default, may be chance here."
-    if best == DEFAULT_POLICY:
-        change = f"Stay with {DEFAULT_POLICY}, the default."
-    elif DEFAULT_POLICY not in players or not lead(DEFAULT_POLICY)[1]:
-        change = f"Play with --policy {best}."
+        good.append(
+            f"{words} {other}, the next ({span})." if found.sign(traces) > 0 else f"{NOT_SEEN} to {other} ({span})."
+        )
+    change = f"Stay with {take}, the default." if take == DEFAULT_POLICY else f"Play with --policy {take}."
+    if len(set(traces)) < SURE_TRACES and len(players) > 1:
+        change = f"Give {SURE_TRACES} --traces or more: fewer tell nothing for sure. {change}"
     wrong = "The smallest rungs play on all links."
     if len(hard := 100 * study.of(best, "stall_ratio", False)):
         wrong = (

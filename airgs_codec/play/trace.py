@@ -5,10 +5,11 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime
+from datetime import UTC, datetime
 from itertools import accumulate, pairwise
 from pathlib import Path
 
@@ -26,6 +27,9 @@ MAHIMAHI_MAX_MS = 86_400_000  # a day; a file with larger numbers is something e
 
 DEFAULT_RTT_S = 0.08  # median ping of LTE driving measurements
 LONGEST_S = 86_400.0  # of one batch: a stall is counted in frames, and those of years fill the memory
+PHONE_BPS = 1e9  # more in a second of a file is a mistaken unit
+RATE_UNIT = re.compile(r"(?<![A-Za-z])([kKmMgG]?)(b|B|bits?|bytes?)(?:ps|/s|_(?:per_)?s)")
+RATE, UPLOAD = re.compile("throughput|bandwidth|rate|downl|dl_|bps|b/s|bits?|byte"), re.compile("ul|up")
 MOST_BPS = 1e19  # beyond, the bound of a session has numbers that HiGHS takes for infinite
 TRACE_ENDS = ("loop", "hold", "error")  # what follows the last second: the first one, the last rate, or nothing
 
@@ -204,10 +208,10 @@ def markov_trace(seed: int, mean_bps: float = MARKOV_MEAN_BPS) -> Trace:
 
 
 def read_trace(path: Path) -> Trace:
-    """Read a trace file: Raca et al. CSV (DL_bitrate), sabre JSON, rows of seconds and Mbit/s (CSV, or Pensieve's with
-    blanks), or mahimahi (a delivery time in ms a line).
+    """Read a trace file: rows of times and rates (CSV, or Pensieve's with blanks), with names of columns such as
+    time_ms or throughput_kbps, or G-NetTrack's, in the first one; sabre JSON; mahimahi (a delivery time in ms a line).
 
-    Raises TransportError for a file that is none of these, is empty, or carries nothing.
+    Raises TransportError for a file that is none of these, is empty, carries nothing, or more than a phone can.
     """
     try:
         expect_plain(path)
@@ -217,46 +221,62 @@ def read_trace(path: Path) -> Trace:
     if not lines:
         raise TransportError(f"{path}: expected a bandwidth trace, got an empty file")
     try:
-        if "DL_bitrate" in lines[0]:
-            return _read_raca(path.name, lines)
         if lines[0].lstrip().startswith("["):
-            return _read_sabre(path.name, json.loads("\n".join(lines)))
-        if all(line.strip().isdigit() for line in lines):
-            return _read_mahimahi(path.name, [int(line) for line in lines])
-        return _read_plain(path.name, lines)
+            trace = _read_sabre(path.name, json.loads("\n".join(lines)))
+        elif all(line.strip().isdigit() for line in lines):
+            trace = _read_mahimahi(path.name, [int(line) for line in lines])
+        else:
+            trace = _read_rows(path.name, lines)
     except (ValueError, LookupError, TypeError, ArithmeticError, RecursionError, csv.Error) as error:
-        expected = "expected Raca CSV, sabre JSON, rows of seconds and Mbit/s, or mahimahi"
+        expected = "expected rows of times and rates, sabre JSON, or mahimahi"
         raise TransportError(f"{path}: {expected}: {error}") from error
+    after = np.interp(trace.starts_s + 1, [*trace.starts_s, trace.duration_s], trace._totals)
+    if (most := float((after - trace._totals[:-1]).max())) > PHONE_BPS:
+        got = f"got {most / 1e9:.3g}: name its unit, such as time_s,throughput_kbps"
+        raise TransportError(f"{path}: expected less than {PHONE_BPS / 1e9:g} Gbit/s of a phone, {got}")
+    return trace
 
 
-def _read_raca(name: str, lines: Sequence[str]) -> Trace:
-    """G-NetTrack rows about once a second, DL_bitrate in kbit/s.
+def _read_rows(name: str, lines: Sequence[str]) -> Trace:
+    """Rows of times and rates, in seconds and Mbit/s unless the first row names columns and their units.
 
-    Rows of one second are averaged, '-' is no reading, a skipped second keeps the last rate.
+    Rows of one moment are averaged, '-' is no reading, a skipped moment keeps the last rate.
     """
-    seconds: dict[datetime, list[float]] = {}
-    for row in csv.DictReader(lines):
-        if row["DL_bitrate"] not in ("-", "", None):
-            stamp = datetime.strptime(row["Timestamp"], "%Y.%m.%d_%H.%M.%S")
-            seconds.setdefault(stamp, []).append(1e3 * float(row["DL_bitrate"]))
-    if not seconds:
-        raise ValueError("no DL_bitrate readings")
-    stamps = sorted(seconds)
-    times = [(s - stamps[0]).total_seconds() for s in stamps]  # naive: a time zone's summer time must not matter
-    return _trace(name, times, [float(np.mean(seconds[s])) for s in stamps], 1.0)
+    mark = next((mark for mark in ",;\t" if mark in lines[0]), "")
+    rows = list(csv.reader(lines, delimiter=mark)) if mark else [line.split() for line in lines]
+    when, second, what, bps = 0, 1.0, 1, 1e6
+    if rows[0][0].strip()[:1].isalpha():
+        when, second, what, bps = _columns([cell.strip() for cell in rows.pop(0)])
+    readings: dict[float, list[float]] = {}
+    for row in rows:
+        if len(row) <= max(when, what):
+            raise ValueError(f"no rate in {','.join(row)[:40]!r}")
+        if row[what].strip() not in ("-", ""):
+            readings.setdefault(second * _moment(row[when]), []).append(bps * float(row[what]))
+    if not readings:
+        raise ValueError("no readings")
+    return Trace.from_arrays(list(readings), [float(np.mean(rates)) / 1e6 for rates in readings.values()], name)
 
 
-def _read_plain(name: str, lines: Sequence[str]) -> Trace:
-    rows = [line.replace(",", " ").split() for line in lines]
-    try:
-        float(rows[0][0])
-    except ValueError:  # a header
-        rows = rows[1:]
-    if not rows:
-        raise ValueError("no rows after the header")
-    if short := next((row for row in rows if len(row) < 2), None):
-        raise ValueError(f"no rate in {short[0][:40]!r}")
-    return Trace.from_arrays([float(row[0]) for row in rows], [float(row[1]) for row in rows], name)
+def _columns(names: Sequence[str]) -> tuple[int, float, int, float]:
+    """Return which column has times, its unit in seconds, which one has rates, and its unit in bit/s."""
+    times = [i for i, n in enumerate(names) if re.match("time|date|sec|elapsed|t(_|$)", n.lower())]
+    rates = [i for i, n in enumerate(names) if RATE.search(n.lower()) and not UPLOAD.match(n.lower())]
+    if not times or not rates:
+        raise ValueError(f"no columns such as time_s and throughput_mbps in {','.join(names)[:60]!r}")
+    time, rate = names[times[0]].lower(), names[rates[0]]
+    bps = 1e3 if rate == "DL_bitrate" else 1e6  # as G-NetTrack has it, and as files without names
+    if unit := RATE_UNIT.search(rate) or RATE_UNIT.search(rate.lower()):
+        bps = {"": 1.0, "k": 1e3, "m": 1e6, "g": 1e9}[unit[1].lower()] * (8 if unit[2][:2] in ("B", "by") else 1)
+    return times[0], 1e-3 if re.search("[^a-z]ms([^a-z]|$)|milli", time) else 1.0, rates[0], bps
+
+
+def _moment(text: str) -> float:
+    """Return the seconds that a number, ISO 8601 or a stamp of G-NetTrack says; without a zone, summer time is none."""
+    if not re.search("_|[0-9]-[0-9]", text):
+        return float(text)
+    stamp = datetime.strptime(text, "%Y.%m.%d_%H.%M.%S") if "_" in text else datetime.fromisoformat(text.strip())
+    return (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp()
 
 
 def _read_sabre(name: str, periods: list[dict[str, float]]) -> Trace:

@@ -12,6 +12,7 @@ import gzip
 import hashlib
 import logging
 import os
+import re
 import socket
 import ssl
 import stat
@@ -24,7 +25,7 @@ from priority import PriorityError
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware import Middleware
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
@@ -36,6 +37,7 @@ from airgs_codec.package.package import REPR_DIGEST, repr_digest
 from airgs_codec.package.tables import shorten
 from airgs_codec.serve import pages
 from airgs_codec.serve.pages import NOT_BUILT, PAGE_TYPES, content_policy, list_page, player_address
+from airgs_codec.serve.scenes import MOST_BYTES, Scenes
 
 LASTING = "public, max-age=31536000, immutable"
 CHECKED = "no-cache"  # may be stored, but is asked for again each time
@@ -55,6 +57,8 @@ PREFLIGHT = {
     "Access-Control-Allow-Headers": "If-None-Match, If-Range, Range",
     "Access-Control-Max-Age": "86400",
 }
+OWN_HOST = re.compile(r"(localhost|[0-9.]+|\[[0-9a-f:.]+\])(:[0-9]+)?")  # no name that DNS of others can lead here
+OWN_PAGE = "the page of this server itself, at localhost, a number or https, if it takes files: see --drop"
 _TEXT = (".json", ".mpd", ".html", ".js")  # the only files that are not compressed already
 _FILES = StaticFiles()
 
@@ -80,7 +84,7 @@ class Packages:
             # without any files but hidden ones: packages may be on their way
             is_empty = folder.is_dir() and all(path.name.startswith(".") for path in folder.iterdir())
             if not found and not is_empty:
-                kinds = f"a package with {JSON_NAME}, a folder with packages or an empty one"
+                kinds = f"a package with {JSON_NAME}, a folder with packages or an empty one, or frames"
                 raise ConfigError(f"{folder}: expected {kinds}, got nothing of that kind")
             if twice := names.intersection(found):
                 raise ConfigError(f"{folder}: expected packages of different names, got {min(twice)} twice")
@@ -132,11 +136,22 @@ def find_file(folder: Path, path: str) -> tuple[str, os.stat_result] | None:
     return (file, found) if direct and stat.S_ISREG(found.st_mode) and os.access(file, os.R_OK) else None
 
 
-def make_app(packages: Packages) -> Starlette:
+def make_app(packages: Packages, scenes: Scenes | None = None) -> Starlette:
 
     async def index(request: Request) -> Response:
-        page = await asyncio.to_thread(lambda: list_page(packages.now()))
+        page = await asyncio.to_thread(lambda: list_page(packages.now(), scenes.as_html() if scenes else ""))
         return HTMLResponse(page, headers={"Cache-Control": CHECKED, "Content-Security-Policy": content_policy(page)})
+
+    async def drop(request: Request) -> Response:
+        """Take a file; the answer is where it will be played, or why it is refused."""
+        assert scenes
+        try:
+            name = await scenes.take(request.query_params.get("name", ""), request.stream())
+            return Response(status_code=202, headers={"Location": player_address(name)})
+        except (ConfigError, OSError) as error:
+            async for _ in request.stream():  # browsers read no answer before they have sent all
+                pass
+            return PlainTextResponse(f"{getattr(error, 'strerror', None) or error}\n", 400)
 
     async def player(request: Request) -> Response:
         name = request.path_params["page"]
@@ -155,13 +170,14 @@ def make_app(packages: Packages) -> Starlette:
         return response or PlainTextResponse("no such file\n", 404)
 
     # A page is never a file of a package: those lie below a name.
-    routes = [Route("/", index), Route("/{page}", player), Route("/{name}/{path:path}", file)]
-    app = Starlette(routes=routes, middleware=[Middleware(_gate)])
+    routes = [Route("/", index), Route("/", drop, methods=["POST"])]
+    routes += [Route("/{page}", player), Route("/{name}/{path:path}", file)]
+    app = Starlette(routes=routes, middleware=[Middleware(_gate, scenes)], lifespan=scenes.encoding if scenes else None)
     app.router.redirect_slashes = False
     return app
 
 
-def _gate(app: ASGIApp) -> ASGIApp:
+def _gate(app: ASGIApp, scenes: Scenes | None) -> ASGIApp:
     """Return an application that answers OPTIONS, refuses bodies and huge headers, and adds headers to responses."""
 
     async def gated(scope: Scope, receive: Receive, send: Send) -> None:
@@ -170,23 +186,31 @@ def _gate(app: ASGIApp) -> ASGIApp:
                 MutableHeaders(scope=message).update(EVERYWHERE)
             await send(message)
 
-        chosen = (_refusal(scope) or app) if scope["type"] == "http" else app
-        with contextlib.suppress(OSError):  # the connection is broken, or the file is gone: the answer ends
+        chosen = (_refusal(scope, scenes) or app) if scope["type"] == "http" else app
+        with contextlib.suppress(
+            OSError, ClientDisconnect
+        ):  # the connection is broken, or the file is gone: the answer ends
             await chosen(scope, receive, send_more)
 
     return gated
 
 
-def _refusal(scope: Scope) -> Response | None:
+def _refusal(scope: Scope, scenes: Scenes | None) -> Response | None:
     headers = Headers(scope=scope)
     sizes = [len(scope["raw_path"]), len(scope["query_string"]), *(len(n) + len(v) for n, v in headers.raw)]
     end = {"Connection": "close"}  # so that what follows a refusal is never taken for a request
-    if scope["method"] not in METHODS.split(", "):
+    dropped = (scope["method"], scope["path"]) == ("POST", "/")
+    if not dropped and scope["method"] not in METHODS.split(", "):
         return PlainTextResponse(f"expected {METHODS}\n", 405, {**end, "Allow": METHODS})
     if sum(sizes) > HEAD_BYTES:
         return PlainTextResponse(f"expected at most {HEAD_BYTES} bytes of headers\n", 431, end)
-    if "transfer-encoding" in headers or headers.get("content-length", "0") != "0":
-        return PlainTextResponse("expected no body\n", 413, end)
+    scheme, host, length = scope["scheme"], headers.get("host", ""), headers.get("content-length", "0")
+    own = headers.get("origin") == f"{scheme}://{host}" and (scheme == "https" or OWN_HOST.fullmatch(host))
+    if dropped and not (scenes and scenes.dropping and own):
+        return PlainTextResponse(f"expected a file from {OWN_PAGE}\n", 403, end)
+    most = MOST_BYTES if dropped else 0
+    if "transfer-encoding" in headers or not length.isdecimal() or int(length) > most:
+        return PlainTextResponse(f"expected at most {most} bytes, and their number\n", 413, end)
     return Response(status_code=204, headers=PREFLIGHT) if scope["method"] == "OPTIONS" else None
 
 

@@ -19,7 +19,7 @@ from urllib.parse import quote
 
 from airgs_codec.errors import AirgsError, FormatError
 from airgs_codec.package.layout import JSON_NAME, MPD_NAME, POSTER_NAME
-from airgs_codec.package.manifest import Groups, Manifest, quality_of
+from airgs_codec.package.manifest import Groups, Manifest, quality_of, rungs_of
 from airgs_codec.package.package import open_package
 
 PAGE_FOLDER = Path(__file__).parent / "page"
@@ -27,7 +27,8 @@ PLAYER_PAGE, PLAYER_SCRIPT = "player.html", "airgs-player.js"
 # the first loads the others, from the same folder
 PLAYER_SCRIPTS = (PLAYER_SCRIPT, "airgs-vr.js", "airgs-more.js", "airgs-sound.js")
 MODULES = ("airgs.js", "airgs-frames.js")  # for pages of others
-PAGE_TYPES = {PLAYER_PAGE: "text/html"} | dict.fromkeys((*PLAYER_SCRIPTS, *MODULES), "text/javascript")
+LIST_SCRIPT = "airgs-list.js"
+PAGE_TYPES = {PLAYER_PAGE: "text/html"} | dict.fromkeys((*PLAYER_SCRIPTS, *MODULES, LIST_SCRIPT), "text/javascript")
 NOT_BUILT = "the player is not built: run make page, which needs Node 20 and npm"
 _POLICY = {  # what a page may load, of each kind; nothing of any other
     "default-src": "'none'",
@@ -56,6 +57,10 @@ li > a:hover, li > a:focus-visible { text-decoration: underline }
 .poster img { position: absolute; width: 100%; height: 100%; object-fit: cover }
 .title, p { display: block; margin: .25rem 1rem 0 }
 p { font-size: .875rem; opacity: .8 }
+label { display: block; position: relative; border: 2px dashed #8888; border-radius: .75rem; padding: 1.5rem 1rem }
+label.over, label:focus-within { background: #8ecbff33 }
+label input { position: absolute; inset: 0; width: 100%; opacity: 0; cursor: pointer }
+output, section { display: block; margin-bottom: 1rem }
 """
 _log = logging.getLogger(__name__)
 
@@ -92,11 +97,10 @@ def look_at(m: Manifest, root_bytes: int) -> Glance:
     """
     first, whole = m.groups[:GROUPS_READ], len(m.groups) <= GROUPS_READ
     part = m if whole else replace(m, frames=first[-1].stop, groups=Groups.of(first))
-    listed = part.media_bytes() + part.bytes_of(part.table_files())
-    size = root_bytes + listed * m.frames // part.frames
-    rate = float(8 * part.bytes_of(part.rung_files(0, 0)) * m.fps / part.frames)  # bits a second, without tables
+    tables = root_bytes * part.frames // m.frames + part.bytes_of(part.table_files())
+    size, top = (part.media_bytes() + tables) * m.frames // part.frames, rungs_of(part, tables)[0].bytes
     quality, about = quality_of(part, 0, 0), "" if whole else "about "
-    cost = _size(part.bytes_of(part.rung_files(0, 0))) if m.still else f"{rate / 1e6:.3g} Mbit/s"
+    cost = _size(top) if m.still else f"{float(8 * top * m.fps / part.frames) / 1e6:.2f} Mbit/s"
     words = [
         m.length if m.still else f"{float(m.frames / m.fps):.1f} s · {m.length}",
         f"{about}{_size(size)}",
@@ -140,14 +144,14 @@ def escape(text: str) -> str:
     return html.escape("".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text))
 
 
-def list_page(packages: Mapping[str, Path]) -> str:
+def list_page(packages: Mapping[str, Path], first: str = "") -> str:
     rows = ((name, player_address(name), f"/{quote(name)}/", describe(packages[name])) for name in sorted(packages))
-    return page_of_cards("Packages", [card(*row) for row in rows])
+    return page_of_cards("Packages", [card(*row) for row in rows], first=first)
 
 
-def page_of_cards(title: str, cards: Sequence[str], head: str = "") -> str:
+def page_of_cards(title: str, cards: Sequence[str], head: str = "", first: str = "") -> str:
     rows = "".join(f"<li>{one}</li>\n" for one in cards)
-    return page_of(title, head, LIST_STYLE, f"<h1>{html.escape(title)}</h1>\n<ul>\n{rows}</ul>\n")
+    return page_of(title, head, LIST_STYLE, f"<h1>{html.escape(title)}</h1>\n{first}<ul>\n{rows}</ul>\n")
 
 
 def page_of(title: str, head: str, style: str, body: str) -> str:

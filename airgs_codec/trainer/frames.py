@@ -89,7 +89,7 @@ class Capture:
             loaded = self.trainer.renderer.load(read(frame))
             for view in self.pictures.train(frame):
                 sums.add(loaded.contribution(view.camera))
-            progress(f"usage of frames {start} to {stop - 1}", done, stop - start)
+            progress(f"usage: frames {start} to {stop - 1}", done, stop - start)
         return sums.usage()
 
 

@@ -81,6 +81,7 @@ def train_frames(run: TrainingRun, progress: Progress = silent) -> Iterator[Fram
 
 def rested(capture: Capture, progress: Progress = silent) -> Capture:
     """Return the capture with the plates of its cameras, found one after another, for the memory of pictures."""
+    progress("what rests", 0, 1)
     sources, plates = plate_sources(capture.scene) if capture.settings.finds_plates else [], []
     for done, (camera, frames) in enumerate(sources, 1):
         plates.append(find_plate(capture.pictures, camera, frames))
@@ -111,6 +112,7 @@ def train_in_jobs(run: TrainingRun, work: Work) -> Iterator[FrameRecord]:
     model, usage, given = run.model, dict[Span, Usage](), run.capture.settings
     if model.finished():
         return
+    work.progress("training", 0, 1)
     scene = run.capture.scene if given.foreground != OFF else without_masks(run.capture.scene)
     settings, device = replace(given, group_frames=None), run.capture.device
     contents = read_contents(scene)
@@ -126,7 +128,7 @@ def train_in_jobs(run: TrainingRun, work: Work) -> Iterator[FrameRecord]:
         return work.results(stage, make, calls, names, JOB_VERSION) if stage else work.stored(make, names, JOB_VERSION)
 
     sources = plate_sources(scene) if settings.finds_plates else []
-    plates = done("what is at rest", plate_job, [(frames, (camera, frames)) for camera, frames in sources])
+    plates = done("what rests", plate_job, [(frames, (camera, frames)) for camera, frames in sources])
     spans = chunks(model.record.total, given.group_frames)
     if not model.record.frames:
         stop = spans[0][1] if scene.given else 1  # what given Gaussians share depends on their chunk
@@ -136,7 +138,7 @@ def train_in_jobs(run: TrainingRun, work: Work) -> Iterator[FrameRecord]:
     left = [span for span in spans if span[1] > max(1, finished) or span == (0, 1)]
     for _, known in done("", fit_chunk, [one for span, one in asked.items() if span not in left]):
         usage |= known
-    for span, (frames, known) in zip(left, done("chunks of frames", fit_chunk, [asked[s] for s in left]), strict=True):
+    for span, (frames, known) in zip(left, done("training: chunks", fit_chunk, [asked[s] for s in left]), strict=True):
         if span[1] > finished:
             model.cut(max(1, span[0]))
         for trained in frames:

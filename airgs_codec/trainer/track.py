@@ -27,7 +27,7 @@ from airgs_codec.jobs.work import Work
 from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.package.region import DECIDING, draw_views, with_background
 from airgs_codec.places.results import digest
-from airgs_codec.progress import about
+from airgs_codec.progress import Progress, silent
 from airgs_codec.render.backend import Renderer
 from airgs_codec.render.compare import compare, draw_still
 from airgs_codec.scene.camera import Camera, resized, training_views
@@ -35,15 +35,13 @@ from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from airgs_codec.trainer.data.multiview import MultiviewScene, drawn_scene
 from airgs_codec.trainer.settings import TrainSettings
 
-DRAWN_VIEWS = 32
+DRAWN_VIEWS, DRAWN_PIXELS = 32, 65_536
 CHUNK_FRAMES = 30
-ROW_S = (2e-4, 1e-3)  # seconds that a Gaussian of a frame takes on two cores: one that is followed, one that is fitted
-INTRA_BYTES = (1.6, 0.4)  # about, of a Gaussian of an intra-coded frame, and of each SH coefficient above band 0
-TRACKED_SHARES = (7, 2)  # tracking divides bytes by these: a head with noise, a fox whose frames were trained singly
+SAVES = "takes a seventh to a half of the bytes"  # a head with noise, a fox whose frames were trained singly
 
 
 def decide(sequence: GaussianSequence, wanted: bool | None = None, rows: str = AUTO) -> tuple[bool, str]:
-    """Return whether a sequence is tracked, and a sentence on its rows, the cost and the alternative.
+    """Return whether a sequence is tracked, and a sentence on its rows and the alternative.
 
     `wanted`: None to look at the first frames. `rows`: as in `analysis.rows`. The sentence is empty where rows are in
     order. Raises SceneError for a broken frame.
@@ -53,20 +51,11 @@ def decide(sequence: GaussianSequence, wanted: bool | None = None, rows: str = A
     shared, words = first_look(sequence, rows)
     if shared:
         return bool(wanted), words
-    count = sum(header.count for header in sequence.headers)
-    further = 3 * ((sequence.sh_degree + 1) ** 2 - 1)
-    intra = count / len(sequence) * (INTRA_BYTES[0] + INTRA_BYTES[1] * further) / 1e3
-    sizes = (f"{kb:.0f}" if kb >= 10 else f"{kb:.1f}" for kb in (intra, *(intra / share for share in TRACKED_SHARES)))
-    each, less = (f"about {size} kB a frame" for size in (next(sizes), " to ".join(sizes)))
-    time = about(*(count * row_s for row_s in ROW_S))
     if wanted is False or rows != AUTO:
-        offer = f"--track makes one set of moving Gaussians of them first: {time}, then {less}"
-        return False, f"{words}; coded one by one, {each}; {offer}"
+        return False, f"{words}; coded one by one; --track makes one set of moving Gaussians of them first: it {SAVES}"
     if wanted is None and find_spec("torch") is None:
-        install = "tracking takes a half to a seventh of that and needs torch: pip install 'airgs-codec[train]'"
-        return False, f"{words}; coded one by one, {each}; {install}"
-    leave = "" if wanted else "; --no-track leaves them as they are"
-    return True, f"{words}; tracked first: {time}, then {less} in place of {each}{leave}"
+        return False, f"{words}; coded one by one; tracking {SAVES}, needs torch: pip install 'airgs-codec[train]'"
+    return True, f"{words}; tracked first, which {SAVES}{'' if wanted else '; --no-track leaves them as they are'}"
 
 
 def track_settings(sequence: GaussianSequence) -> TrainSettings:
@@ -76,11 +65,12 @@ def track_settings(sequence: GaussianSequence) -> TrainSettings:
     )  # fmt: skip
 
 
-def pictured(sequence: GaussianSequence, renderer: Renderer) -> MultiviewScene:
+def pictured(sequence: GaussianSequence, renderer: Renderer, progress: Progress = silent) -> MultiviewScene:
     """Return the scene that views about its cameras show of a sequence, for a run that fits Gaussians that move.
 
     Raises SceneError for a broken frame and where nothing can be tracked, ConfigError where no view shows anything.
     """
+    progress("views to track", 0, 1)
     cameras = _views_of(sequence, renderer)
     if reason := why_not(sequence, cameras, renderer):
         raise SceneError(f"{sequence.folder}: not tracked: {reason}")
@@ -116,7 +106,7 @@ def _views_of(sequence: GaussianSequence, renderer: Renderer) -> list[Camera]:
     found = seeing(draw_views(region, DRAWN_VIEWS, DECIDING), middle, renderer)
     if not found:
         raise ConfigError(f"{sequence.folder}: expected views that show the middle frame, got {DRAWN_VIEWS} of nothing")
-    small = (resized(camera, (65_536 / (camera.width * camera.height)) ** 0.5) for camera in found)
+    small = (resized(camera, (DRAWN_PIXELS / (camera.width * camera.height)) ** 0.5) for camera in found)
     return [replace(camera, name=f"view{number:02d}", split="train") for number, camera in enumerate(small)]
 
 
@@ -139,6 +129,7 @@ def tracked(
     # torch is loaded only where something is tracked
     from airgs_codec.trainer.pipeline import content_of, open_run, read_contents, train_frames, train_in_jobs
 
+    work.progress("views to track", 0, 1)
     cameras = _views_of(sequence, renderer)
     if reason := why_not(sequence, cameras, renderer):
         yield replace(sequence, notes=(*sequence.notes, f"not tracked: {reason}"))
@@ -148,8 +139,8 @@ def tracked(
         name = digest(content_of(scene, read_contents(scene)))
         model = (folder or Path(temporary)) / f"tracked-{name[:16]}"
         run = open_run(scene, model, track_settings(sequence), resume=True, device=renderer.device)
-        for frame in train_in_jobs(run, work) if work.elsewhere else train_frames(run, work.progress):
-            work.progress("tracking", frame.frame + 1, len(sequence))
+        for _ in train_in_jobs(run, work) if work.elsewhere else train_frames(run, work.progress):
+            pass
         found = open_sequence(model, fps=sequence.fps).at_origin(sequence.origin)
         given = replace(found, cameras=sequence.cameras, cameras_path=sequence.cameras_path, alone=True)
         breaks, notes = tuple(run.model.record.keyframes()[1:]), (*sequence.notes, run.model.record.quality())

@@ -1,11 +1,13 @@
 """airgs-encode as a user runs it: once in earnest, and else what its options ask of the library and what it says."""
 
 import json
+import re
 import shutil
-from contextlib import redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from io import StringIO
 from types import SimpleNamespace
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from tests.support.scenes import moving_frames, write_sequence
 from tests.support.splat_files import splat_bytes
 from tests.support.views import ring
 
+LINES = "airgs_codec.cli.terminal.LINE_S"
 REGION = json.loads((GOLDEN / "fox" / "airgs.json").read_text())["region"] | {"turn": 3}
 
 
@@ -29,9 +32,10 @@ def encode_sog(folder):
         (scene / f"{number}.sog").write_bytes(splat_bytes(faces.read_ply(path).take(slice(0, 900)), ".sog"))
     (folder / "region.json").write_text(json.dumps(REGION))
     words = f"{scene} -o {folder}/out --preset fast --keep-all --measure-pictures 1 --region {folder}/region.json"
-    with redirect_stdout(StringIO()) as said:
+    with redirect_stdout(StringIO()) as said, redirect_stderr(StringIO()) as heard, patch(LINES, 0.0):
         assert faces.airgs_encode([*words.split(), "--up", "0,3,4", "--unit", "0.01"]) == 0
-    (folder / "said").write_text(said.getvalue())
+    for name, text in (("said", said), ("heard", heard)):
+        (folder / name).write_text(text.getvalue())
 
 
 @pytest.fixture(scope="session")
@@ -43,7 +47,7 @@ def test_encode_reports_what_it_did_and_inspect_what_is_there(encoded, tmp_path,
     said, package = (encoded / "said").read_text(), str(encoded / "out")
     assert " + L0 " in said and "play it: airgs-serve " in said and len(said.splitlines()) <= 24
     assert "decided: frames 1-2: rows were out of order; matched again, " in said
-    assert {path.name for path in encoded.iterdir()} == {"scene", "region.json", "out", "said"}
+    assert {path.name for path in encoded.iterdir()} == {"scene", "region.json", "out", "said", "heard"}
     tables = json.loads((encoded / "out" / "airgs.json").read_text())
     assert tables["region"] == REGION | {"source": "file"}
     assert tables["generator"]["settings"]["preset"] == "fast"
@@ -57,6 +61,14 @@ def test_encode_reports_what_it_did_and_inspect_what_is_there(encoded, tmp_path,
     assert data["frames"] == 3 and len(data["rungs"]) == 4 and data["rungs"][0]["psnr"] > 30
     total = sum(data["top_rung_bytes"].values())
     assert total == pytest.approx(3 * data["rungs"][0]["bytes_per_frame"])
+
+
+def test_an_encode_says_first_what_it_will_take_and_then_how_far_all_of_it_is(encoded):
+    heard, size = (encoded / "heard").read_text(), sum(path.stat().st_size for path in (encoded / "out").rglob("*.*"))
+    assert 0.5 < float(re.search(r"/out: will take about \d+ s and ([\d.]+) MB\n", heard)[1]) / (size / 1e6) < 2
+    stages, shares = zip(*re.findall(r"(?m)^([^:\n]+).*: (\d+)% after", heard), strict=True)
+    assert list(dict.fromkeys(stages)) == ["frames", "order of rows", "views", "encoding", "measuring"]
+    assert list(shares) == sorted(shares, key=int)
 
 
 def test_frames_of_sog_come_out_tracked_and_as_they_were_promised(encoded, tmp_path, capsys):

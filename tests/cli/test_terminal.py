@@ -110,7 +110,7 @@ MISTAKES = {  # words that follow those of the command, and what is said of them
         "--certificate chain.pem": "expected --certificate and --key together",
         "--certificate chain.pem --key key.pem": "chain.pem: expected a PEM certificate",
     },
-    "serve": {"scene": "expected"},
+    "serve": {"none": "none: "},
     "train BLOBS -o m": {
         "--frames 3:9": "frames inside 0:5", "--frames x": "expected A:B", "--hold-out cam99": "no camera cam99",
         "--iterations 5": "expected FIRST,KEY,FRAME", "--budget 0": "budget of at least 1",
@@ -199,16 +199,62 @@ def test_what_an_encoding_lacks_is_escaped(encoding, monkeypatch):
     assert out.buffer.getvalue() == b"\\u2192 \\u0394E\n"
 
 
-def test_a_log_gets_a_line_of_progress_every_ten_seconds_unless_work_is_quiet(monkeypatch, capsys):
+@pytest.fixture
+def clock(monkeypatch):
     now = [0.0]
     monkeypatch.setattr(terminal.time, "monotonic", lambda: now[0])
-    bar, quiet = terminal.Bar(), terminal.Bar(quiet=True)
-    for second in range(0, 36, 3):
-        now[0] = float(second)
-        bar("frames", second, 100)
-        quiet("others", second, 100)
-    bar.close()
+    return now
+
+
+def test_a_log_gets_a_line_of_progress_every_half_minute_unless_work_is_quiet(clock, capsys):
+    with terminal.Bar() as bar, terminal.Bar(quiet=True) as quiet:
+        quiet.expect("nothing", {"others": 1}, 1)
+        for second in range(0, 72, 3):
+            clock[0] = float(second)
+            bar("frames", second, 100)
+            quiet("others", second, 100)
     assert capsys.readouterr().err.splitlines() == [
-        "frames: 12 of 100, after 12 s, about 88 s left",
-        "frames: 24 of 100, after 24 s, about 76 s left",
+        "frames: 30% after 30 s, about 70 s left",
+        "frames: 60% after 60 s, about 40 s left",
     ]
+
+
+def test_one_bar_is_for_all_stages_after_a_line_of_what_is_expected(clock, capsys):
+    with terminal.Bar() as bar:
+        bar.expect("x.airgs", {"views": 30, "search": 0, "encoding": 90}, 1_234_567)
+        for clock[0], stage, done in (
+            (0, "views", 0),
+            (30, "encoding: frames 0-9", 0),
+            (75, "encoding: frames 10-19", 1),
+        ):
+            bar(stage, done, 2)
+    assert capsys.readouterr().err.splitlines() == [
+        "x.airgs: will take about 2 minutes and 1.2 MB",
+        "encoding: frames 0-9: 25% after 30 s, about 90 s left",
+        "encoding: frames 10-19: 62% after 75 s, about 45 s left",
+    ]
+
+
+@pytest.mark.parametrize("slower", [0.2, 1.0, 5.0])
+def test_a_whole_only_grows_and_what_is_left_follows_what_is_seen(clock, slower):
+    seconds, seen = {"a": 10, "skipped": 2, "b": 30, "c": 60}, []
+    whole = terminal.Whole(seconds, 0.1)
+    for stage in "abc":
+        for done in range(10):
+            whole.report(stage, done, 10)
+            whole.report("a" if stage > "a" else "nobody's", 0, 1)  # is over, and was not expected
+            seen.append((clock[0] / slower, *whole.look()))
+            clock[0] += slower * seconds[stage] / 10
+    whole.report("c", 10, 10)
+    spent, shares, left = zip(*seen, strict=True)
+    assert whole.look() == (1.0, 0.0) and shares[0] == 0 and left[0] == 102
+    assert list(shares) == sorted(shares) and shares[-1] == pytest.approx(0.94, abs=0.03)
+    assert all(0.5 < found / slower / (100 - at) < 2 for at, found in zip(spent, left, strict=True) if at > 40)
+
+
+def test_a_bar_goes_on_while_a_stage_says_nothing(clock):
+    whole = terminal.Whole({"a": 40, "b": 60}, 0.1)
+    shares = []
+    for clock[0] in range(0, 100, 10):
+        shares.append(whole.look()[0])
+    assert shares[:4] == pytest.approx([0, 0.1, 0.2, 0.3]) and shares == sorted(shares) and shares[-1] < 0.6

@@ -227,12 +227,3 @@ def test_a_folder_with_other_files_is_never_replaced_and_a_package_with_unfinish
     with faces.staged_package(faces.Folder(out)) as stage:
         (stage / "airgs.json").write_text("{}")
     assert [path.name for path in out.iterdir()] == ["airgs.json"]
-
-
-def test_a_linked_file_is_refused(tmp_path):
-    package = shutil.copytree(VALID / "moving", tmp_path / "out")
-    path = package / "keyframe/T0/1.bin"
-    path.symlink_to(path.rename(tmp_path / "outside.bin"))
-    with pytest.raises(faces.FormatError, match="link"):
-        decode(faces.open_package(package), 0)
-    assert "unsafe_path" in {f.reason for f in faces.validate(package)}

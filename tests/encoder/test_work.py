@@ -13,7 +13,7 @@ import pytest
 
 from airgs_codec.encoder import publish
 from tests import faces
-from tests.faces import EncodeSettings, Plan, airgs_encode, encode, open_store, validate
+from tests.faces import EncodeSettings, Plan, airgs_encode, encode, validate
 from tests.support.mutations import read_files
 from tests.support.packages import SEEN
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
@@ -100,11 +100,6 @@ def test_an_object_store_holds_the_work(scene, expected, bucket, tmp_path, done)
         done.clear()
         encode(scene, tmp_path / "out", SETTINGS, work=f"{bucket}/work")
         assert done == again and read_files(tmp_path / "out") == expected
-    store = pickle.loads(pickle.dumps(open_store(f"{bucket}/work")))
-    store.write("ab", b"1")
-    assert store.read("ab") == b"1"
-    store.place.write("ab/ab", b"damaged")
-    assert store.read("ab") is None
 
 
 def test_one_frame_that_changes_is_the_only_run_that_is_made_again(tmp_path, done):

@@ -1,15 +1,18 @@
 """Figures of `airgs-manifest inspect`, worked out by hand on a manifest of known sizes."""
 
 import json
+import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from tests import faces
 from tests.faces import LeftOut, describe_left_out, format_ladder, format_summary, summarise
 from tests.support.manifests import in_groups, tiny_manifest
-from tests.support.paths import VALID
+from tests.support.paths import FOX, VALID
 from tests.support.regions import arc
+from tests.support.scenes import write_sequence
 
 MANIFESTS = 700  # bytes of airgs.json and manifest.mpd, say
 
@@ -116,3 +119,19 @@ def test_what_many_groups_leave_out_alike_is_one_line():
     assert lines[0] == "6 groups: 5-10 Gaussians: 42.2 dB by itself, at worst, 0.10 kB/frame saved"
     few = describe_left_out(replace(m, groups=in_groups([groups[0], *m.groups[1:]])))
     assert few[0] == "1 groups: 5 Gaussians: 50.0 dB by itself, at worst, 0.10 kB/frame saved"
+
+
+def test_stiff_cases_are_counted_with_the_bound_that_holds(tmp_path):
+    g = faces.read_ply(FOX / "000000.ply").take(slice(0, 600))
+    scales = np.full((600, 3), -4.0, np.float32)
+    scales[:50, 0] = 1.0  # 150 times as long as thin
+    calm = replace(g, log_scales=scales, opacity_logits=np.where(np.arange(600) < 30, 9, 0).astype(np.float32))
+    later = replace(calm, means=calm.means + np.where(np.arange(600) < 20, 3, 0)[:, None].astype(np.float32))
+    settings = faces.EncodeSettings(keep_all=True, calibrate="none", measure_pictures=0, threads=2)
+    faces.encode(write_sequence(tmp_path / "in", [calm, later]), tmp_path / "out", settings)
+    package = faces.open_package(tmp_path / "out")
+    found = faces.stiff_cases(package)
+    assert [line.split(" are ")[0] for line in found] == [f"{n} of 600 Gaussians" for n in (50, 30, 20)]
+    bound = float(re.search(r"opacity is right to ([\d.]+)", found[1])[1])
+    measured = faces.measure_errors(package, faces.open_sequence(tmp_path / "in"))
+    assert max(e.error for e in measured if e.attribute == "opacity" and e.where.endswith("0")) <= 1.05 * bound <= 0.1

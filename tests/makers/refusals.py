@@ -28,18 +28,9 @@ from tests.support.mutations import Files, apply, drop_value, honest, parse_tabl
 from tests.support.paths import INVALID
 from tests.support.refusals import Case, base_files, findings
 
-KEYFRAME_SIDECAR, KEYFRAME_PICTURE, TABLE, PAGE_TABLE = (
-    "keyframe/T0/1.bin",
-    "keyframe/T0/Q0/1.m4s",
-    "group/1.json.gz",
-    "index/1/1.json",
-)
-INTER_SIDECAR, INTER_TABLE, LAST_TABLE, DELTAS = (
-    "keyframe/T0/2.bin",
-    "group/2.json.gz",
-    "group/3.json.gz",
-    "delta/L0/1.m4s",
-)
+KEYFRAME_SIDECAR, INTER_SIDECAR = (f"keyframe/T0/{number}.bin" for number in (1, 2))
+KEYFRAME_PICTURE, DELTAS, PAGE_TABLE = "keyframe/T0/Q0/1.m4s", "delta/L0/1.m4s", "index/1/1.json"
+TABLE, INTER_TABLE, LAST_TABLE = (f"group/{number}.json.gz" for number in (1, 2, 3))
 NONE = {"bytes": 0, "sha256": ""}
 LEVEL = ("segments", 0, "levels", 0)
 MIRROR = [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0]
@@ -209,13 +200,9 @@ def source_of(name: str) -> str:
         return "sound"
     if "-slopes-flag" in name:
         return "slopes"
-    return (
-        "paged"
-        if "-page" in name
-        else "inter"
-        if "-base" in name or "-inter" in name or name == "bad_sidecar-slopes"
-        else "moving"
-    )
+    if "-page" in name:
+        return "paged"
+    return "inter" if re.search("-base|-inter|^bad_sidecar-slopes$", name) else "moving"
 
 
 def changes(name: str) -> dict[str, dict[str, Any] | None]:

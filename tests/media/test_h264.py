@@ -13,15 +13,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.media import h264, mp4
-from airgs_codec.media.h264 import (
-    ClosedGop,
-    CodecSettings,
-    Pictures,
-    check_gop,
-    delta_codec,
-    keyframe_codec,
-    open_segment,
-)
+from airgs_codec.media.h264 import ClosedGop, CodecSettings, Pictures, check_gop, delta_codec, keyframe_codec
 from airgs_codec.media.mp4 import box, init_segment, read_boxes, read_samples, read_segment, start_codes, with_own_box
 from tests.faces import CodecError, FormatError
 
@@ -103,7 +95,7 @@ def test_broken_bytes_and_pages_that_differ_in_number_are_refused(paged):
                 raise FormatError("bad_picture", "x", "no picture")
         assert caught.value.reason == "bad_picture"
     with pytest.raises(FormatError) as caught:
-        open_segment(b"moof?", "x")
+        h264.open_segment(b"moof?", "x")
     assert caught.value.reason == "bad_picture"
 
 
@@ -203,7 +195,7 @@ def test_slopes_stand_in_front_page_after_page_and_all_samples_share_the_time(pa
     for shown, plain in zip(lined.pictures("x"), paged.pictures("x"), strict=True):
         np.testing.assert_array_equal(shown, plain)
     assert lined.picture_bytes == [paged.picture_bytes[0] + slopes.picture_bytes[0], *paged.picture_bytes[1:]]
-    first, others = open_segment(lined.media(b""), "x", PAGES)[1].cut()
+    first, others = h264.open_segment(lined.media(b""), "x", PAGES)[1].cut()
     np.testing.assert_array_equal(next(iter(first)), next(iter(slopes.pictures("x"))))
     assert len(list(others)) == FRAMES
     data = io.BytesIO(init_segment(24_000, *SIZE) + lined.media(b""))

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests import faces
-from tests.faces import STALL_DB, BatchKind, ConfigError, Decision, Offers, Policy, SessionSettings, Trace, simulate
+from tests.faces import BatchKind, ConfigError, Decision, Offers, Policy, SessionSettings, Trace, simulate
 from tests.support.manifests import in_groups, keeping, link, missing, play, rules, tiny_manifest, with_segments
 from tests.support.paths import VALID
 from tests.support.session_packages import offers_of
@@ -72,7 +72,7 @@ HAND = {  # name -> package, link, policy or rungs by turns, rules, and what com
     # 20 frames, and 0.28 s of waiting at 10 fps with the picture that stood.
     "half the rate": (tiny_manifest(psnr=[[40.0, 0.0]] * 3), HALF, "fixed:0", {}, {
         "arrivals": [0.2, 0.22, 1.48, 1.5, 2.76], "waits": [0, 0.28], "ticks": [*range(10), 9, 9, 9, *range(10, 20)],
-        "stall_ratio": 0.28 / 2.28, "qoe": (2 * 40 - STALL_DB * 0.28) / 2}),
+        "stall_ratio": 0.28 / 2.28, "qoe": 40 - 200 * 0.28 / 2}),
     # A table is one file; a group has 2 tiers of 2 files and a delta.
     "headers, round trips and decoding": (TINY, link([8e4], rtt=0.1), "fixed:0",
         {"decode_frame_s": 0.05, "headers": 100}, {"arrivals": [0.21, 0.33, 1.11, 1.23, 2.01], "starts": [1.16, 2.16],
@@ -331,8 +331,8 @@ def test_any_session_is_causal_deterministic_and_accounted_for(rates, policy, bu
         assert later.stall_s >= 0 and later.start_s == pytest.approx(end + later.stall_s)
     quality = np.array([s.psnr for s in a.shown if s.psnr is not None])
     if len(quality):
-        lost = np.abs(np.diff(quality)).sum() + STALL_DB * a.metrics.stall_s
-        assert a.metrics.qoe == pytest.approx((quality.sum() - lost) / len(quality))
+        shown = (quality.sum() - np.abs(np.diff(quality)).sum()) / len(quality)
+        assert a.metrics.qoe == pytest.approx(shown - 200 * a.metrics.stall_s / a.metrics.played_s)
     assert sum(a.bytes_by_kind.values()) <= a.metrics.wire_bytes
     assert all(0 <= f.wasted <= f.bytes for f in a.fetches)
     used = over.bytes_between(0.0, a.fetches[-1].arrival_s)
@@ -354,7 +354,7 @@ def test_figures_of_a_session_are_what_its_batches_and_segments_say():
     assert (m.retries, m.replaced) == (2, 0)
     assert m.rungs == {"Q1+L0": 1, "Q0+L0": 1} and (m.switches, m.lost_frames, m.stalls) == (1, 0, 1)
     assert m.change_db == pytest.approx(4.0)
-    assert m.qoe == pytest.approx((36 + 40 - 4 - STALL_DB * shown[1].stall_s) / 2)
+    assert m.qoe == pytest.approx((36 + 40 - 4) / 2 - 200 * shown[1].stall_s / 1.5)
     assert m.startup_requests == 1 + 1 + 5 + 2 and m.startup_bytes == 1000 + 100 + 3800
     assert m.utilisation == pytest.approx(1.0)
     lost = [shown[0], replace(shown[1], rung=None, psnr=None, stall_s=1e-9)]  # s, which rounding may make

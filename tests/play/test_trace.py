@@ -31,7 +31,17 @@ rates = st.lists(st.sampled_from([0.0, 1e3, 1e6, 3e7]), min_size=1, max_size=8).
 RACA = "Timestamp,State,DL_bitrate\n" + "".join(
     f"2017.12.04_15.24.{row}\n" for row in ("12,D,3000", "12,D,1000", "13,D,-", "15,D,8000")
 )
-PLAIN = "time_s,mbps\n10,2\n12,4\n", "10,2\n12,4", "10 2\r\n12 4\r\n", "\ufefft,r\n10, 2\n12, 4\n\n"
+PLAIN = (
+    "time_s,mbps\n10,2\n12,4\n",
+    "10,2\n12,4",
+    "10 2\r\n12 4\r\n",
+    "\ufefft,rate\n10, 2\n12, 4\n\n",
+    ("id;Time (ms);UL_kbps;Throughput [kbit/s]\n1;500;7;2000\n1;2500;7;4000\n"),
+    "2026-03-29T01:59:59Z,2\n2026-03-29T02:00:01Z,4",
+    "date,BPS,rate\n2026-03-29 01:59:59,2e6,1\n2026-03-29 02:00:01,4e6,1",
+    ("timestamp\tMB/s\n7\t0.25\n9\t0.5"),
+    "time,bytes_per_second\n7,250000\n9,500000",
+)
 SABRE = """[{"duration_ms": 500, "bandwidth_kbps": 2000, "latency_ms": 20},
  {"duration_ms": 1500, "bandwidth_kbps": 4000, "latency_ms": 40}]"""
 
@@ -100,7 +110,7 @@ def test_cuts_that_cannot_be(offset, scale):
 
 
 @pytest.mark.parametrize(("text", "starts", "rates", "duration", "rtt"), [
-    (RACA, [0, 3], [2e6, 8e6], 4, None),  # repeats are averaged, skipped and missing seconds keep the rate
+    (RACA, [0, 3], [2e6, 8e6], 6, None),  # repeats are averaged, skipped and missing seconds keep the rate
     *((text, [0, 2], [2e6, 4e6], 4, None) for text in PLAIN),
     (SABRE, [0, 0.5], [2e6, 4e6], 2, pytest.approx(0.03)),
 ])  # fmt: skip
@@ -119,14 +129,15 @@ def test_mahimahi_counts_packets_in_each_millisecond(tmp_path):
 
 @pytest.mark.parametrize(("content", "words"), [
     ("\n\n", "empty"), (b"\xff\xfe\x00garbage", "cannot read"),
-    *((text, "expected Raca CSV") for text in ("hello\nworld\n", "[1, 2]", "[]", "[{", "0,1\n1,fast\n")),
-    ("Timestamp,DL_bitrate\nyesterday,5\n", "expected Raca CSV"), ("DL_bitrate\n5\n", "Timestamp"),
-    *((f"Timestamp,DL_bitrate\n{row}", "no DL_bitrate") for row in ("", "2017.12.04_15.24.12,-\n")),
+    *((text, "expected rows of times") for text in ("hello\nworld\n", "[1, 2]", "[]", "[{", "0,1\n1,fast\n")),
+    ("Timestamp,DL_bitrate\nyesterday,5\n", "yesterday"), ("DL_bitrate\n5\n", "no columns such as time_s"),
+    *((f"Timestamp,DL_bitrate\n{row}", "no readings") for row in ("", "2017.12.04_15.24.12,-\n")),
     ("Timestamp,DL_bitrate\n" + "5" * 200_000, "field larger"), ("[" * 100_000, "recursion"),
     ('[{"duration_ms": 500}]', "bandwidth_kbps"),
     ('[{"bandwidth_kbps": 1, "duration_ms": 1' + "0" * 400 + "}]", "too large"),
-    ("time_s,mbps\n", "no rows"), ("time_s,mbps\n0,1\n1\n", "no rate in '1'"),
-    *((text, "ascend") for text in ("0,1\n0,2\n", "nan,1\n1,2\n", "5\n3\n")),
+    ("time_s,mbps\n", "no readings"), ("time_s,mbps\n0,1\n1\n", "no rate in '1'"),
+    *((text, "less than 1 Gbit/s of a phone, got 3: name its unit") for text in ("0,40\n1,3000\n", "time,mbps\n0,3e3")),
+    *((text, "ascend") for text in ("1,1\n0,2\n", "0,1\nnan,2\n", "5\n3\n")),
     ("0,-1\n1,2\n", "0 or more"), ("0,nan\n1,2\n", "finite"), ("0,0\n1,0\n", "zero all the time"),
     ("99999999999999999\n", "more than a day"),
 ])  # fmt: skip

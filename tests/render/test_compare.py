@@ -9,19 +9,8 @@ import numpy as np
 import pytest
 
 from airgs_codec.render.compare import compare, draw_frames, draw_once, draw_still, in_order
-from tests.faces import (
-    PSNR_CAP,
-    ConfigError,
-    Difference,
-    Picture,
-    Quality,
-    delta_e,
-    delta_e_metric,
-    mse,
-    pool,
-    psnr,
-    render,
-)
+from tests import faces
+from tests.faces import PSNR_CAP, Difference, Picture, Quality, delta_e, delta_e_metric, mse, pool, psnr, render
 from tests.support.scenes import moving_frames
 from tests.support.views import ring
 
@@ -162,11 +151,11 @@ def test_the_metric_of_colours_says_how_delta_e_grows():
 
 
 def test_no_views_and_pictures_of_different_sizes_are_refused():
-    with pytest.raises(ConfigError, match="expected at least one"):
+    with pytest.raises(faces.ConfigError, match="expected at least one"):
         compare(files([]), files([]), [], Picture.mse)
     for size, got in (((1, 1), "1x1"), ((12, 17), "17x12"), ((16, 12), "12x16")):
         shown = files([constant(0.5, *size)])
-        with pytest.raises(ConfigError, match=f"^frame 0, camera cam00: expected 16x12 pixels, got {got}$"):
+        with pytest.raises(faces.ConfigError, match=f"^frame 0, camera cam00: expected 16x12 pixels, got {got}$"):
             list(compare(files([constant(0.5)]), shown, [(0, SIDE)], Picture.mse))
 
 

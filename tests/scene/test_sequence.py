@@ -92,7 +92,7 @@ def test_a_frame_of_another_scene_is_told_before_and_to_those_who_encode(tmp_pat
     (tmp_path / "notes.txt").write_text("of somebody")
     assert faces.airgs_encode([str(folder), "-o", str(tmp_path)]) == 2
     told = capsys.readouterr().err
-    assert "rows: the first 3 frames do not share them; tracked first: about" in told
+    assert "rows: the first 3 frames do not share them; tracked first, which" in told
     assert "expected a new folder or an existing package, got a folder with other files" in told
     settings = faces.EncodeSettings(calibrate="none", measure_pictures=0)
     notes = faces.decide(open_sequence(folder), settings).notes

@@ -107,10 +107,11 @@ def test_a_folder_of_packages_is_served_with_all_of_them(port):
 
 
 def test_the_list_says_what_each_package_is_and_leads_to_the_player_and_the_player_to_the_package(port):
-    text, m = ask(port, "/")[2].decode(), open_package(PACKAGE).manifest
+    text, package = ask(port, "/")[2].decode(), open_package(PACKAGE)
+    m = package.manifest
     size, quality = sum(len(data) for data in read_files(PACKAGE).values()), m.rungs[0][0].psnr
-    best = 8e-6 * sum((PACKAGE / path).stat().st_size for path in m.rung_files(0, 0)) * float(m.fps) / m.frames
-    assert f"0.2 s · 5 frames · {size / 1e3:.3g} kB · {best:.3g} Mbit/s and {quality:.1f} dB at best" in text
+    best = 8e-6 * package.rungs[0].bytes * float(m.fps) / m.frames
+    assert f"0.2 s · 5 frames · {size / 1e3:.3g} kB · {best:.2f} Mbit/s and {quality:.1f} dB at best" in text
     for entry in listed(port):
         assert f'href="{entry["play"]}"' in text and entry["mpd"] in text
         assert ask(port, entry["tables"])[0] == ask(port, entry["mpd"])[0] == 200

@@ -7,12 +7,15 @@ import os
 import re
 import resource
 import shutil
+import signal
 import socket
 import subprocess
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from queue import SimpleQueue
+from urllib.request import urlopen
 
 import pytest
 
@@ -20,6 +23,7 @@ from tests import faces
 from tests.faces import ConfigError, Folder, check_certificate, digest, listen
 from tests.support.mutations import read_files
 from tests.support.paths import VALID
+from tests.support.scenes import moving_frames, write_sequence
 from tests.support.servers import ask, say, serving
 
 PACKAGE = VALID / "two-groups-sh1"
@@ -309,3 +313,100 @@ def test_https_speaks_http_2(tmp_path):
                 data += event.data if isinstance(event, DataReceived) else b""
                 ended |= isinstance(event, StreamEnded)
     assert data == (PACKAGE / "airgs.json").read_bytes()
+
+
+def drop(port, name, data, **headers):
+    """Post a file as the page of a server does."""
+    return ask(port, f"/?name={name}", "POST", data, **{"Origin": f"http://127.0.0.1:{port}"} | headers)
+
+
+def test_a_file_that_is_dropped_becomes_a_package_whose_guesses_are_said_and_a_bad_one_a_line(tmp_path):
+    scene, home, said = (
+        write_sequence(tmp_path / "a", moving_frames(60, 1), cameras=False),
+        tmp_path / "home",
+        SimpleQueue(),
+    )
+    home.mkdir()
+    with serving(home=home, say=said.put) as port:
+        for sent, name, data in (
+            ("..%2F..%2F", "bad", b"no splats"),
+            ("C%3A%5Cx%5C", "a", next(scene.iterdir()).read_bytes()),
+        ):
+            status, headers, _ = drop(port, f"{sent}{name}.ply", data)
+            assert (status, headers["Location"]) == (202, f"/player.html?src={name}.airgs/")
+        lines = [said.get(timeout=300)]
+        while not lines[-1].endswith("a.airgs: encoded"):
+            lines.append(said.get(timeout=300))
+        page = ask(port, "/")[2].decode()
+        assert "/player.html?src=a.airgs/" in page and ask(port, "/a.airgs/airgs.json")[0] == 200
+    assert "<p role=alert><b>bad</b>: bad.ply: expected" in page and str(tmp_path) not in page
+    assert "<b>a</b>: cannot tell up" in page or "<b>a</b>: up is guessed" in page
+    assert any(line.startswith("a.airgs: ") and " up" in line for line in lines)
+    assert [path.name for path in home.iterdir()] == ["a.airgs"]
+
+
+@pytest.mark.parametrize(("name", "headers", "status"), [
+    ("a.ply", {"Origin": "https://evil.example"}, 403), ("a.ply", {"Origin": "null"}, 403),
+    ("a.ply", {"Origin": "http://localhost:1"}, 403),
+    ("a.ply", {"Origin": "http://evil.example", "Host": "evil.example"}, 403),  # whose DNS leads here
+    ("a.ply", {"Content_Length": str(1 << 40)}, 413), ("a.ply", {"Transfer_Encoding": "chunked"}, 413),
+    ("..", {}, 400), (".bashrc", {}, 400), ("a%00.ply", {}, 400), ("", {}, 400), ("x" * 300, {}, 400),
+])  # fmt: skip
+def test_files_that_are_not_from_the_own_page_too_large_or_badly_named_are_refused(tmp_path, name, headers, status):
+    with serving(home=tmp_path) as port:
+        answer = drop(port, name, b"", **headers)
+        assert answer[0] == status and answer[2].decode().count("\n") == 1
+        assert ask(port, "/")[0] == 200
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_server_that_takes_no_files_says_so(port, tmp_path):
+    with serving(home=tmp_path, dropping=False) as encoding:
+        for one in (port, encoding):
+            status, _, body = drop(one, "a.ply", b"ply")
+            assert status == 403 and b"--drop" in body and b'type="file"' not in ask(one, "/")[2]
+
+
+def test_a_disk_that_is_full_is_a_line_and_nothing_stays(tmp_path, monkeypatch):
+    with serving(home=tmp_path) as port:
+        monkeypatch.setattr("airgs_codec.serve.scenes.open", full, raising=False)
+        assert drop(port, "a.ply", bytes(1 << 20))[::2] == (400, b"No space left on device\n")
+    assert not list(tmp_path.iterdir())
+
+
+def full(*_):
+    raise OSError(28, "No space left on device")
+
+
+def test_a_folder_of_frames_is_encoded_and_nothing_of_it_is_left_where_the_server_is_ended(tmp_path):
+    scene, home = write_sequence(tmp_path / "moves", moving_frames(60, 2)), tmp_path / "tmp"
+    home.mkdir()
+    program = [sys.executable, "-uc", "from airgs_codec.cli.serve import main; raise SystemExit(main())"]
+    how = {
+        "stdout": subprocess.PIPE,
+        "stderr": subprocess.PIPE,
+        "text": True,
+        "env": os.environ | {"TMPDIR": str(home)},
+    }
+    for number, heard in ((signal.SIGTERM, "encoded"), (signal.SIGINT, "scenes become")):
+        with subprocess.Popen([*program, str(scene), "--port", "0"], **how) as child, contextlib.ExitStack() as stack:
+            stack.callback(child.kill)
+            port = int(re.search(r":(\d+)", child.stdout.readline())[1])
+            assert any(heard in line for line in child.stderr)
+            assert (b"/moves.airgs/airgs.json" in ask(port, "/")[2]) == (heard == "encoded")
+            child.send_signal(number)
+            assert child.wait(100) == 0
+        assert not list(home.iterdir())
+
+
+def test_open_shows_the_player_of_one_package_in_a_browser(monkeypatch):
+    opened = []
+
+    def browse(page):
+        opened.append((page, urlopen(page).status))
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr("webbrowser.open", browse)
+    assert faces.airgs_serve([str(PACKAGE), "--port", "0", "--open"]) == 0
+    [(page, status)] = opened
+    assert status == 200 and page.endswith(f"/player.html?src={NAME}/")

@@ -135,7 +135,8 @@ def build_pages(which: str = "pages") -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with (WEB / "out" / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        sources = [path for part in ("src", "test", "scripts", "examples") for path in (WEB / part).rglob("*.*")]
+        parts = ("src", "adapters", "test", "scripts", "examples")
+        sources = [*WEB.glob("*.*"), *(path for part in parts for path in (WEB / part).rglob("*.*"))]
         built = [path.stat().st_mtime for path in folder.rglob("*.js")]
         if not built or min(built) < max(path.stat().st_mtime for path in sources):
             subprocess.run(["node", f"scripts/{which}.mjs"], cwd=WEB, check=True)

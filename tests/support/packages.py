@@ -13,17 +13,11 @@ import numpy as np
 
 from tests import faces
 from tests.faces import EncodeSettings, Gaussians, GaussianSequence, LevelSettings, encode, open_sequence
+from tests.support import scenes
 from tests.support.chirps import SOUNDING, write_chirping
 from tests.support.paths import FOX
 from tests.support.regions import QUICK, place, region
-from tests.support.scenes import (
-    frozen,
-    moving_frames,
-    random_gaussians,
-    room_behind_a_door,
-    room_frames,
-    write_sequence,
-)
+from tests.support.scenes import frozen, moving_frames, random_gaussians, room_behind_a_door, room_frames
 
 TWO_LEVELS = (LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1))
 SLOPED_LEVELS = (LevelSettings(0.0), LevelSettings(0.3, 2.0))
@@ -89,7 +83,7 @@ def chirping(frames: int, fps: Fraction, group_frames: int) -> Callable[[Path], 
 
 def silent(folder: Path) -> None:
     with TemporaryDirectory() as root:
-        scene = write_sequence(Path(root), moving_frames(40, 39))
+        scene = scenes.write_sequence(Path(root), moving_frames(40, 39))
         encode(open_sequence(scene, fps=NTSC), folder, replace(SOUNDING, group_frames=13))
 
 

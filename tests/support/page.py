@@ -40,6 +40,7 @@ FILES = {  # in the place of the player that web/ builds, so that tests of serve
     "airgs-sound.js": "export class Sound {}\n",
     "airgs.js": "export const open = () => {};\n",
     "airgs-frames.js": "export const openFrames = () => {};\n",
+    "airgs-list.js": "export {};\n",
 }
 
 

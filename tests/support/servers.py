@@ -15,17 +15,25 @@ from urllib.request import Request, urlopen
 
 from starlette.types import ASGIApp
 
-from tests.faces import Packages, bucket_at, listen, make_app, serve
+from tests.faces import Packages, Scenes, bucket_at, listen, make_app, serve
 
 Around = Callable[[ASGIApp], ASGIApp]
 
 
 @contextmanager
 def serving(
-    *folders: Path, port: int = 0, around: Around = lambda app: app, patience_s: float = 20.0, **settings: Any
+    *folders: Path,
+    port: int = 0,
+    around: Around = lambda app: app,
+    patience_s: float = 20.0,
+    home: Path | None = None,
+    dropping: bool = True,
+    say: Callable[[str], None] = print,
+    **settings: Any,
 ) -> Iterator[int]:
-    """The project's server, its application in what stands around it; gives its port."""
-    app = around(make_app(Packages(list(folders))))
+    """The project's server, its application in what stands around it; gives its port. `home`: scenes are encoded."""
+    packages = Packages([*folders, *([home] if home else [])])
+    app = around(make_app(packages, Scenes(home, dropping, packages.find, say) if home else None))
     loop, stop, listening = asyncio.new_event_loop(), asyncio.Event(), listen("127.0.0.1", port, patience_s)
 
     def run() -> None:

@@ -179,7 +179,7 @@ class Named(Work):
     """Work that is not done; it stops at chunks of frames, with what names that of the last one."""
 
     def results(self, stage, function, calls, contents=None, version=0):
-        if stage == "chunks of frames":
+        if stage == "training: chunks":
             raise LookupError(faces.content_digest(contents[-1], version))
         if stage == "first frame":
             return [faces.TrainedFrame(*self.store)]

@@ -1,4 +1,4 @@
-"""The examples for users of three.js and PlayCanvas in a real browser: they draw a package as we draw it, and go on."""
+"""Examples for three.js and PlayCanvas, built by Vite from what npm packs, draw a package as we draw it, and go on."""
 
 import shutil
 from dataclasses import replace
@@ -14,12 +14,12 @@ from tests.support.page import decibels, look, pixels_of
 from tests.support.paths import GOLDEN
 
 SIZE = 192
-LEAST_DB = 40  # what docs/results/views.md says is more
-SHOWN = 3
+LEAST_DB = {"three": 23, "spark": 40, "playcanvas": 40}  # three.js cuts Gaussians at 2 deviations, dims small ones
+NO_WEBGPU = ("No available adapters", "WebGPU is not available")  # what three.js then says
 
 pytestmark = [
     pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}"),
-    pytest.mark.parametrize("example", ["spark", "playcanvas"]),
+    pytest.mark.parametrize("example", LEAST_DB),
 ]
 
 
@@ -38,27 +38,28 @@ def packages(package_of, tmp_path_factory):
 def show(package, example, wanted, **query):
     """What an example shows of a package: its words, and its last picture (SIZE, SIZE, 3)."""
     build_pages("examples")
-    page = f"/examples/{example}/index.html?{urlencode({'src': '/package/', **query})}"
+    page = f"/examples/{example}/index.html?{urlencode({'src': '/package/', **query}, doseq=True)}"
     folders = {"examples": WEB / "out/examples", "package": package.files.path}
-    report, _ = look("examples", folders, page=page, size=SIZE, wanted=wanted)
+    report, _ = look("examples", folders, known=NO_WEBGPU, page=page, size=SIZE, wanted=wanted)
     return report["words"], pixels_of(report["picture"], SIZE, SIZE)
 
 
 @pytest.mark.parametrize("name", ["fox", "harmonics", "placed"])
-def test_an_example_draws_the_first_view_of_a_package_as_we_do(packages, name, example):
+def test_an_example_draws_the_first_view_of_one_frame_after_another_as_we_do(packages, name, example):
     package = packages[name]
-    words, picture = show(package, example, 1, frame=1)
-    assert words == [f"frame 2 of {package.manifest.frames}"]
+    last = package.manifest.frames - 1
+    _, picture = show(package, example, f"frame {last + 1} of {last + 1}", frame=[0, last])
     region = levelled(package.manifest.region, package.manifest.world)
     place = region.places[0]
     at = (np.array(v) for v in (place.position, place.focus, place.up))
     camera = look_at(*at, size=SIZE, fov_y=np.radians(region.fov_y), name="first")
-    assert decibels(picture, render(decode(package, 1), camera).rgb) >= LEAST_DB
+    before, now = (decibels(picture, render(decode(package, frame), camera).rgb) for frame in (0, last))
+    assert now >= max(LEAST_DB[example], before)
 
 
 def test_an_example_plays_on(packages, example):
-    words, picture = show(packages["harmonics"], example, SHOWN)
-    assert len(words) == SHOWN and all(word.startswith("frame ") for word in words)
+    words, picture = show(packages["harmonics"], example, 3)
+    assert len(words) == 3 and all(word.startswith("frame ") for word in words)
     assert picture.std() > 10
 
 

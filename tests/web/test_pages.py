@@ -1,15 +1,17 @@
 """The pages that are published: they play with nothing of a test in them, ask nobody else, and are used by people."""
 
+import base64
 import shutil
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 
-from tests.faces import export_page, mse, open_package, psnr, read_picture
+from tests.faces import export_page, mse, open_package, psnr, read_picture, write_ply
 from tests.support.browser import WEB, Answer, build_pages, missing, serve, visit_all
 from tests.support.page import SHIPPED, asking, shipped_page
 from tests.support.paths import CORPUS, GOLDEN, VALID
+from tests.support.scenes import random_gaussians
 from tests.support.servers import plainly_serving, serving
 
 SHOWCASE = CORPUS / "showcase"
@@ -20,6 +22,7 @@ pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(m
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
     build_pages()
+    build_pages("examples")
     folder, shown = tmp_path_factory.mktemp("pages"), [SHOWCASE / "fox.airgs", SHOWCASE / "head.airgs"]
     names = ["moving", "a name_" + 9 * "without_room_"]
     shown += [shutil.copytree(VALID / "moving", folder / "plain" / name) for name in names]
@@ -28,13 +31,14 @@ def seen(tmp_path_factory):
     with serving(FOX) as fox, serving(*shown) as many, plainly_serving(folder) as plain:
         text = (WEB / "examples" / "embed.html").read_text().replace("127.0.0.1:8000", f"127.0.0.1:{fox}")
         embedded = Answer(text.replace("fox.airgs", "fox").encode(), headers={"Content-Type": "text/html"})
-        made = {"/": embedded, "/page/player.html": shipped_page("page")}
+        made = {"/": embedded, "/page/player.html": shipped_page("page"), "/favicon.ico": b""}
         with serve({"web": WEB, "page": SHIPPED, "scenes": FOX.parent}, made) as site:
             own = site.url.removeprefix("http://127.0.0.1:")
             pages = {
                 "of the server": (fox, "player.html?src=%2Ffox%2F", asking()),
                 "exported": (plain, "some/where/", asking()),
                 "embedded": (own, "", asking()),
+                "of npm": (own, "web/out/examples/", asking()),
                 "list": (many, "", asking(widths=[390, 768, 1280])),
                 "exported list": (plain, "site/", asking(widths=[390, 768, 1280])),
                 "used": (own, "page/player.html?src=/scenes/fox/", ""),
@@ -44,7 +48,7 @@ def seen(tmp_path_factory):
     return {name: (f"127.0.0.1:{pages[name][0]}", one.report) for name, one in zip(pages, visits, strict=True)}
 
 
-@pytest.mark.parametrize("page", ["of the server", "exported", "embedded"])
+@pytest.mark.parametrize("page", ["of the server", "exported", "embedded", "of npm"])
 def test_it_plays_and_asks_only_the_server_it_came_from(seen, page):
     server, report = seen[page]
     assert report["frames"] >= 3
@@ -109,6 +113,7 @@ def ray(camera, x, y, width=480, height=270):
 def hand(demo_package, tmp_path_factory):
     """What a hand does to a package of the embedded scene and to a still (web/test/pages/hand.ts), and pictures."""
     build_pages()
+    build_pages("examples")
     shots = tmp_path_factory.mktemp("shots")
     folders = {"web": WEB, "page": SHIPPED, "scenes": demo_package.parent, "valid": VALID}
     with serve(folders, {"/page/player.html": shipped_page("hand")}) as site:
@@ -148,3 +153,27 @@ def test_a_double_click_looks_at_what_is_there_and_drags_turn_about_it_then(hand
     depths, off, *_ = np.linalg.lstsq(ways.T * [1, -1], places[1] - places[0], rcond=None)
     assert off < 1e-6 and 1.5 < depths[0] < 3.5  # the axes of both views meet in the scene
     assert 0.5 < hand["scene"]["framed"]["width"] < 0.95  # and F shows all of it
+
+
+DROP = """if (window === top) window.report = (async () => {
+  const wait = () => new Promise((resolve) => setTimeout(resolve, 50));
+  const list = document.createElement("iframe");
+  await new Promise((resolve) => addEventListener("load", resolve));
+  document.body.append(Object.assign(list, { src: "/" }));
+  const seen = () => list.contentDocument;
+  while (!seen().querySelector("label") || seen().readyState !== "complete") await wait();
+  const dataTransfer = new DataTransfer();
+  dataTransfer.items.add(new File([await (await fetch("data:;base64,DATA")).blob()], "small.ply"));
+  seen().dispatchEvent(new DragEvent("drop", { dataTransfer }));
+  while (!(seen()?.querySelector("airgs-player")?.player?.stats.framesShown > 0)) await wait();
+  return list.contentWindow.location.search;
+})();"""
+
+
+def test_a_file_that_is_dropped_on_the_list_plays(tmp_path):
+    write_ply(tmp_path / "small.ply", random_gaussians(60))
+    (tmp_path / "home").mkdir()
+    data = base64.b64encode((tmp_path / "small.ply").read_bytes()).decode()
+    with serving(home=tmp_path / "home") as port:
+        [seen] = visit_all([(f"http://127.0.0.1:{port}/airgs-list.js", DROP.replace("DATA", data))])
+    assert (seen.report, seen.failed) == ("?src=small.airgs/", [])

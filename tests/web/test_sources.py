@@ -9,8 +9,9 @@ from graphlib import TopologicalSorter
 
 import pytest
 
+from airgs_codec import __version__
 from tests.faces import PAGE_TYPES, is_built
-from tests.support.browser import WEB, missing
+from tests.support.browser import WEB, build_pages, missing
 from tests.support.page import SHIPPED
 from tests.support.paths import PACKAGE, REPOSITORY
 
@@ -21,8 +22,8 @@ BESIDE = {("render", "media")}  # pairs that know nothing of each other
 IMPORT = re.compile(r'\b(?:from|import) "(?:worker:)?(\.[^"]+\.ts)"')
 MODULES = {path.relative_to(SOURCES).as_posix(): path for path in SOURCES.rglob("*.ts") if path.suffixes == [".ts"]}
 MOST_BYTES = {  # as gzip
-    "airgs.js": 46_200, "airgs-frames.js": 23_500, "airgs-player.js": 58_700, "airgs-vr.js": 2_000,
-    "airgs-more.js": 17_000, "airgs-sound.js": 3_700,
+    "airgs.js": 46_200, "airgs-frames.js": 23_500, "airgs-player.js": 58_800, "airgs-vr.js": 2_000,
+    "airgs-more.js": 17_000, "airgs-sound.js": 3_700, "airgs-list.js": 1_100,
 }  # fmt: skip
 PERMISSIVE = {"0BSD", "Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "ISC", "MIT", "PSF-2.0", "Python-2.0"}
 LOCK = json.loads((WEB / "package-lock.json").read_text())["packages"]
@@ -87,6 +88,16 @@ def test_it_is_small(name):
     assert len(gzip.compress((SHIPPED / name).read_bytes())) <= MOST_BYTES[name]
 
 
+@in_node
+def test_npm_packs_an_element_that_is_small():
+    build_pages("examples")
+    packed = WEB / "out/project/node_modules/airgs-player"
+    assert {path.name for path in packed.iterdir()} == {"LICENSE", "README.md", "dist", "package.json"}
+    others = ("airgs-frames", "airgs-more", "playcanvas", "sound", "spark", "three", "vr")
+    scripts = [path for path in (packed / "dist").glob("*.js") if not path.name.startswith(others)]
+    assert 60_000 < sum(len(gzip.compress(path.read_bytes())) for path in scripts) <= 78_000
+
+
 def test_a_wheel_brings_it_along():
     """setuptools takes what these patterns match."""
     assert is_built() and {path.name for path in SHIPPED.iterdir()} == set(PAGE_TYPES)
@@ -100,9 +111,8 @@ def test_a_wheel_brings_it_along():
 
 def test_versions_are_exact_and_licences_permissive():
     package = json.loads((WEB / "package.json").read_text())
-    assert "dependencies" not in package
+    assert package["version"] == __version__ and "dependencies" not in package
     versions = package["devDependencies"]
-    assert all(re.fullmatch(r"\d+\.\d+\.\d+", version) for version in versions.values())
     assert versions == LOCK[""]["devDependencies"]
     assert versions == {name: LOCK[f"node_modules/{name}"]["version"] for name in versions}
     packages = [entry for path, entry in LOCK.items() if path]

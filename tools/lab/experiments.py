@@ -65,9 +65,9 @@ class Measurement:
     words: str  # of the command after `python -m tools.lab`, which runs in a folder of scenes
 
 
-# In the folder of scenes, frames of fox_alone/ are those of naive 3DGS, 24 of fox_views/, its transforms.json that of
-# fox_views/ with cam01, 05, 09 and 13 held out. fox_b/ is fox/, with cam02, 06, 11 and 14 held out. fox_128/ is
-# tests/data/fox_views, head_views/ what `footage` makes of head/ from cameras that stand around it.
+# In the folder of scenes, talk/ is that of the showcase; frames of fox_alone/ are those of naive 3DGS, 24 of fox_views/
+# with cam01, 05, 09 and 13 held out, as in its transforms.json. fox_b/ is fox/, with cam02, 06, 11 and 14 held out.
+# fox_128/ is tests/data/fox_views, head_views/ what `footage` makes of head/ from cameras around it.
 PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
 MEASUREMENTS = (
     Measurement(
@@ -89,7 +89,7 @@ MEASUREMENTS = (
         "rd-spinach", "size", f"rd spinach10/ spinach_views.json --fps 30 --at 40 --targets 42 40 38 36 {PEERS}"
     ),
     Measurement(
-        "rd-head", "size", f"rd head10/ head_views.json --fps 30 --at 44.5 --targets 46 44 42 40 38 {PEERS}"
+        "rd-talk", "size", f"rd talk/ talk/transforms.json --at 43 --targets 47 45 43 41 39 37 {PEERS}"
     ),
     Measurement(
         "rivals", "baselines",
@@ -110,11 +110,15 @@ MEASUREMENTS = (
     ),
     Measurement(
         "work-precision", "work_precision",
-        "work-precision --spinach spinach_4.splatv --traces raca2018_4g_car/",
+        "work-precision --spinach spinach_4.splatv --traces raca2018_4g_car/ norway2013_3g/ ghent2016_4g/",
     ),
     Measurement("stiff", "stiff", "stiff"),
     Measurement("extremes", "numerics", "extremes"),
-    Measurement("streaming", "streaming", "streaming raca2018_4g_car/ fox/ spinach_4.splatv=spinach_views.json"),
+    Measurement(
+        "streaming", "streaming",
+        "streaming fox/ talk/ --links 'car LTE=raca2018_4g_car' 'Norwegian 3G=norway2013_3g' "
+        "'Ghent 4G, a tenth=ghent2016_4g@0.1'",
+    ),
     Measurement(
         "viewpoints",
         "views",

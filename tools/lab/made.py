@@ -37,8 +37,8 @@ def name_of(scene: str) -> str:
     return Path(scene.partition("=")[0]).stem
 
 
-def make_scene(rows: int, frames: int, folder: Path, wave: bool = False) -> None:
-    """Write frames of a ball of Gaussians to a new folder: a tenth of them swing, or all of them in a wave."""
+def make_scene(rows: int, frames: int, folder: Path) -> None:
+    """Write frames of a ball of Gaussians to a new folder, a tenth of which swing."""
     random = np.random.default_rng(0)
     means = random.normal(size=(rows, 3))
     size = math.log(1.5 / rows ** (1 / 3))
@@ -47,7 +47,7 @@ def make_scene(rows: int, frames: int, folder: Path, wave: bool = False) -> None
     moves = (np.arange(rows) % 10 == 0)[:, None] * np.array([0.1, 0.02, 0.0])
     folder.mkdir()
     for t in range(frames):
-        moved = [means + (0.5 * np.sin(2 * means + 0.4 * t) if wave else math.sin(0.6 * t) * moves), *columns]
+        moved = [means + math.sin(0.6 * t) * moves, *columns]
         write_ply(folder / f"{t:06d}.ply", Gaussians(*(np.asarray(c, np.float32) for c in moved)))
 
 

@@ -42,14 +42,31 @@ const shaders = {
   },
 };
 
+/** What is imported as it is needed is a script beside the one that imports it, airgs-NAME.js. */
+const parts = {
+  name: "parts",
+  setup(plugins) {
+    plugins.onResolve({ filter: /^[.].*[.]ts$/ }, ({ path, kind }) => {
+      if (kind !== "dynamic-import") return null;
+      return { path: path.replace(/.*[/](airgs-)?(.*)[.]ts$/, "./airgs-$2.js"), external: true };
+    });
+  },
+};
+
+/** Without these what esbuild adds for import(…), though nothing calls it, goes away. */
+const NO_REQUIRE = { require: undefined, Proxy: undefined };
+
 const STARTED = `
 const url=URL.createObjectURL(new Blob([code],{type:"text/javascript"}));
 const worker=new Worker(url,{type:"module"});
 URL.revokeObjectURL(url);
 return worker;`;
 
-/** Bundles `entries` (name -> source file) into `folder` as NAME.js; each worker is a script of its own in them. */
-export async function bundle(entries, folder, options = {}) {
+/**
+ * Bundles `entries` (name -> source file) into `folder` as NAME.js; each worker is a script of its own in them. With
+ * `splitting`, what some have in common, and what is imported as it is needed, are files of their own.
+ */
+export async function bundle(entries, folder, { splitting = false, ...options } = {}) {
   const load = async (path) => {
     const contents = `import { run } from ${JSON.stringify(path)};\nrun();`;
     const stdin = { contents, resolveDir: "/", loader: "ts" };
@@ -64,7 +81,8 @@ export async function bundle(entries, folder, options = {}) {
     format: "esm",
     entryPoints: entries,
     outdir: folder,
-    plugins: [workers(load), styles],
+    splitting,
+    plugins: [workers(load), styles, ...(splitting ? [shaders] : [parts])],
   });
 }
 
@@ -79,18 +97,16 @@ export async function bundleOnce(entry, file) {
     const run = `import { run } from ${JSON.stringify(path)};\nif (role === ${name}) run();`;
     return { contents: `${run}\nexport const start = () => startWorker(${name});`, resolveDir: "/" };
   };
-  const define = { "import.meta.url": "address" };
   const options = { ...COMMON, minify: true, format: "iife", globalName: "module", metafile: true, write: false };
-  const made = await build({ ...options, define, entryPoints: [entry], plugins: [workers(load), styles, shaders] });
+  const made = await build({ ...options, entryPoints: [entry], plugins: [workers(load), styles, shaders, parts] });
   const { code } = await minify(made.outputFiles[0].text, {
-    compress: { passes: 4, keep_fargs: false, unsafe: true, unsafe_arrows: true },
+    compress: { passes: 4, keep_fargs: false, unsafe: true, unsafe_arrows: true, global_defs: NO_REQUIRE },
     ecma: 2022,
   });
   const names = await exportsOf(entry);
   await writeFile(
     file,
     `const library = (library, role) => {
-const address = import.meta.url;
 const startWorker = (name) => {
 const code = "const library = " + library + ";library(library," + JSON.stringify(name) + ")";${STARTED}
 };
@@ -110,7 +126,7 @@ async function exportsOf(entry) {
     metafile: true,
     write: false,
     entryPoints: [entry],
-    plugins: [empty, styles],
+    plugins: [empty, styles, parts],
   };
   const { metafile } = await build(options);
   return Object.values(metafile.outputs)[0].exports;

@@ -6,10 +6,11 @@
 //     airgs-vr.js       what the player loads for a headset
 //     airgs-more.js     what the element loads once there is a picture: keys, gestures, menu, figures and the like
 //     airgs-sound.js    what the player loads for a package with sound
+//     airgs-list.js     what the server's list of packages runs while scenes are encoded
 //     player.html       a page with nothing but <airgs-player src="…">
 import { copyFile, mkdir } from "node:fs/promises";
 import { fileURLToPath } from "node:url";
-import { bundleOnce } from "./bundle.mjs";
+import { bundle, bundleOnce } from "./bundle.mjs";
 
 const here = (path) => fileURLToPath(new URL(path, import.meta.url));
 const folder = process.argv[2] ?? here("../../airgs_codec/serve/page");
@@ -18,4 +19,5 @@ await mkdir(folder, { recursive: true });
 const parts = { "airgs-vr": "play/vr", "airgs-sound": "play/sound" };
 for (const name of ["airgs", "airgs-frames", "airgs-player", "airgs-more", ...Object.keys(parts)])
   await bundleOnce(here(`../src/${parts[name] ?? name}.ts`), `${folder}/${name}.js`);
+await bundle({ "airgs-list": here("../src/airgs-list.ts") }, folder, { minify: true });
 await copyFile(here("../src/player.html"), `${folder}/player.html`);

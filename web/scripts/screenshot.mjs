@@ -1,10 +1,10 @@
-// Opens a page that plays a scene in headless Chromium and writes a picture of its first frame in the best rung.
+// Opens a page that plays a scene in headless Chromium and writes a picture of its middle frame in the best rung.
 //
 //     node screenshot.mjs URL FILE.png [WIDTH HEIGHT]
 //
 // The page has an <airgs-player>. It is drawn on the CPU: so it plays in a small window until the best rung is shown, or
-// for BEST_MS, then stands still to be drawn with all pixels. The browser is that of the environment variable CHROMIUM.
-// Exit status 2 with one line where there is no picture after a minute.
+// for BEST_MS, then stands still to be drawn with all pixels, without the large button. The browser is that of the
+// environment variable CHROMIUM. Exit status 2 with one line where there is no picture after a minute.
 import { setTimeout } from "node:timers/promises";
 import { chromium } from "playwright-core";
 
@@ -27,9 +27,10 @@ try {
   await page.waitForFunction(BEST, null, { timeout: BEST_MS }).catch(() => {});
   await page.evaluate(`${PLAYER}.pause()`);
   await page.setViewportSize({ width: Number(width), height: Number(height) });
-  await page.evaluate(`${PLAYER}.seek(0)`);
+  await page.evaluate(`${PLAYER}.seek(${PLAYER}.duration / 2)`);
   await page.waitForFunction(`!${PLAYER}.seeking && ${PLAYER}.canvas.width === ${width}`);
   await page.mouse.move(Number(width) / 2, Number(height) / 2); // for the controls
+  await page.locator("airgs-player .big").evaluate((button) => button.remove()); // it hides what is shown
   await setTimeout(DRAWN_MS);
   await page.screenshot({ path: file });
 } catch (error) {

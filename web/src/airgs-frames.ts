@@ -1,12 +1,9 @@
-// Frames of packages as Gaussians, without a player:
-//
-//     import { openFrames } from "./airgs-frames.js";
-//     const reader = await openFrames("https://example.org/fox.airgs/");
-//     const { means, quaternions, logScales, alpha, colours } = await reader.gaussians(0);
+// Frames of packages as Gaussians, without a player, for adapters (web/adapters) and programs of one's own.
 import { basesAfter } from "./format/atlas.ts";
+import { Recent } from "./format/collections.ts";
 import { canonicalGaussians, shownGaussians } from "./format/gaussians.ts";
 import { levelled } from "./format/region.ts";
-import type { Canonical, DeltaFrame, Gaussians, Region, Root, World } from "./format/types.ts";
+import type { Canonical, DeltaFrame, Gaussians, Region, Root, Segment, World } from "./format/types.ts";
 import { Media } from "./media/client.ts";
 
 export { FormatError, type Reason } from "./format/errors.ts";
@@ -16,9 +13,8 @@ export { TransportError, UnsupportedError } from "./media/errors.ts";
 /** Opens a package to read its frames as Gaussians. Throws what `Player.open` does. */
 export const openFrames = async (src: string): Promise<FrameReader> => new FrameReader(await Media.open(src));
 
-/** A segment; `start` is its first frame. */
 interface Decoded {
-  start: number;
+  segment: Segment;
   level: number;
   canonical: Canonical;
   base: Gaussians;
@@ -27,8 +23,8 @@ interface Decoded {
 
 /** Reads frames of a package, in any order; one after the other is fastest, since a segment is decoded as a whole. */
 export class FrameReader {
-  #decoded: Promise<Decoded> | null = null;
-  #wanted = "";
+  readonly #held = new Recent<string, Promise<Decoded>>(2);
+  #last: Promise<Decoded> | null = null;
 
   constructor(private readonly media: Media) {}
 
@@ -64,14 +60,30 @@ export class FrameReader {
    * Throws RangeError for a frame or rung that there is not, FormatError and TransportError where a file cannot be had.
    */
   async gaussians(frame: number, rung = this.rungs[0]): Promise<Gaussians> {
-    const { start, level, canonical, base, frames } = await this.#segment(frame, rung);
+    const { segment, level, canonical, base, frames } = await this.#segment(frame, rung);
     const table = this.media.tables.group(canonical.group);
-    const state = frames[frame - start];
+    const state = frames[frame - segment.start];
     if (!state) return shownGaussians(this.root, table, base, canonical, null);
-    const changes = frames.slice(0, frame - start + 1).map((one) => one?.bases ?? null);
+    const changes = frames.slice(0, frame - segment.start + 1).map((one) => one?.bases ?? null);
     const bases = basesAfter(state.luma.length, changes);
     const slopes = changes[0]?.slopes ?? null;
     return shownGaussians(this.root, table, base, canonical, { ...state, level, bases, slopes });
+  }
+
+  /** Hands each frame to `show` at its time or not at all, over and over until an abort. Throws what `gaussians` does. */
+  async play(
+    show: (gaussians: Gaussians, frame: number) => void,
+    { rung = this.rungs[0], signal }: { rung?: string | undefined; signal?: AbortSignal } = {},
+  ): Promise<void> {
+    const begun = performance.now();
+    for (let shown = -1; !signal?.aborted; await new Promise(requestAnimationFrame)) {
+      const frame = Math.floor(((performance.now() - begun) / 1000) * this.fps) % this.frames;
+      if (frame === shown) continue;
+      show(await this.gaussians(frame, rung), frame);
+      shown = frame;
+      const { segment } = await this.#segment(frame, rung);
+      this.#segment(segment.stop % this.frames, rung).catch(() => {}); // the next one, ahead of its time
+    }
   }
 
   close(): void {
@@ -85,15 +97,11 @@ export class FrameReader {
       throw new RangeError(`frame: expected 0 … ${this.frames - 1}, got ${frame}`);
     const segment = await this.media.locate(frame, new AbortController().signal);
     const name = `${segment} ${number}`;
-    if (name !== this.#wanted) {
-      this.#wanted = name;
-      const before = this.#decoded;
-      this.#decoded = this.#decode(segment, number, before);
-      this.#decoded.catch(() => {
-        if (this.#wanted === name) this.#wanted = ""; // another try fetches it again
-      });
-    }
-    return this.#decoded as Promise<Decoded>;
+    const held = this.#held.get(name);
+    if (held) return held;
+    this.#last = this.#decode(segment, number, this.#last);
+    this.#last.catch(() => this.#held.delete(name)); // another try fetches it again
+    return this.#held.set(name, this.#last);
   }
 
   async #decode(segment: number, rung: number, before: Promise<Decoded> | null): Promise<Decoded> {
@@ -112,6 +120,6 @@ export class FrameReader {
       frames[t] = frame;
       this.media.taken(frame);
     });
-    return { start: tables.segment(segment).start, level, canonical, base, frames };
+    return { segment: tables.segment(segment), level, canonical, base, frames };
   }
 }

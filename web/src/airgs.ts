@@ -1,9 +1,4 @@
-// The player as a module, without controls:
-//
-//     import { open } from "./airgs.js";
-//     const player = await open(document.querySelector("canvas"), "https://example.org/fox.airgs/");
-//     player.on("rung", () => console.log(player.rungs[player.rung].name));
-//     player.play();
+// The player as a module, without controls: docs/browser.md.
 import type { PlayerOptions } from "./play/playback.ts";
 import { Player } from "./play/player.ts";
 

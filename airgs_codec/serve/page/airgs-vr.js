@@ -1,5 +1,4 @@
 const library = (library, role) => {
-const address = import.meta.url;
 const startWorker = (name) => {
 const code = "const library = " + library + ";library(library," + JSON.stringify(name) + ")";
 const url=URL.createObjectURL(new Blob([code],{type:"text/javascript"}));

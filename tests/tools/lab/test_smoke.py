@@ -40,7 +40,7 @@ RUNS = {  # by the names of what is published: commands, in a folder with the sc
     "work-precision": "work-precision --fox fox --only decode --quick",
     "stiff": "stiff --quick",
     "extremes": "extremes",
-    "streaming": "streaming traces package --policies throughput paper paper-no-cliff --starts 2 --seconds 2 --jobs 1",
+    "streaming": "streaming fox --links links=traces --starts 1 --seconds 1 --policies throughput bola",
     "viewpoints": "viewpoints fox=fox/transforms.json",
     "upright": "upright fox/000000.ply@y@z --held 000000",
     "scale": "scale --rows 200 --frames 2 --few 100",
@@ -53,7 +53,7 @@ RUNS = {  # by the names of what is published: commands, in a folder with the sc
     "soak-farm": "soak-farm --groups 1 --kills 4",
 }
 UNPUBLISHED = {"devices", "link", "footage", "pace-train", "soak-farm"}
-TWINS = {"rd-spinach", "rd-head", "tracked-fox", "splits-basketball", "splits-kinoptic"}
+TWINS = {"rd-spinach", "rd-talk", "tracked-fox", "splits-basketball", "splits-kinoptic"}
 TWINS |= {f"mechanisms-{name}" for name in ("basketball", "trainer", "motion", "exposure")}
 
 

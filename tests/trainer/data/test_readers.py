@@ -190,14 +190,6 @@ def test_colmap_projects_as_colmap_does(tmp_path, binary):
     assert Pictures(scene).train(0)[0].target.rgb.shape == (24, 32, 3)
 
 
-def test_colmap_with_a_lens_is_undistorted(tmp_path):
-    write_colmap(tmp_path, ["a.png", "b.png"], "OPENCV 32 24 60 62 16 12 0.05 -0.01 0.001 0.002")
-    write_pictures(tmp_path / "images", dict.fromkeys(("a.png", "b.png"), plain(120)))
-    scene = open_scene(tmp_path)
-    assert scene.frames[0][0].lens is not None
-    assert Pictures(scene).train(0)[0].target.rgb.min() > 0.46  # no black borders: every pixel was seen
-
-
 @pytest.mark.parametrize(("kind", "fps"), [("videos", 25), ("folders", 30)])
 def test_colmap_cameras_with_pictures_over_time(tmp_path, kind, fps):
     write_colmap(tmp_path, ["cam1.png", "cam2.png"] if kind == "videos" else ["cam1/0.png", "cam2/0.png"])

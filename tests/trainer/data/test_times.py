@@ -98,7 +98,7 @@ def test_what_cannot_be_joined_is_refused_in_one_line(tmp_path, capsys, suffix, 
 
 def test_a_rig_with_holes_has_plates_and_offsets_and_says_what_it_lacks(tmp_path, capsys):
     scene = open_scene(filmed(tmp_path, range(9), [0, 1, 3, 4, 6, 7, 8]))
-    faces.match_cameras(scene, (0, None), "auto", None, quiet=False)
+    faces.match_cameras(scene, (0, None), "auto", None, faces.Bar())
     assert capsys.readouterr().out == f"{tmp_path}: 9 frames of 25 a second, joined by time; 2 of 9 frames dropped: b\n"
     capture = rested(Capture.of(scene, TrainSettings(), "cpu"))
     assert set(capture.pictures.plates) == {"a", "b"}

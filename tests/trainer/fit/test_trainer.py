@@ -17,14 +17,9 @@ STEP = np.array([0.1, 0.0, 0.0], np.float32)  # world units that all moves by in
 
 
 def trainer(**settings) -> Trainer:
-    counts = {
-        "budget": 400,
-        "capacity": 600,
-        "first_iterations": 150,
-        "keyframe_iterations": 150,
-        "frame_iterations": 60,
-    }
-    return Trainer(TrainSettings(sh_degree=0, **(counts | settings)), scene_extent(ring()))
+    counts = {"first_iterations": 150, "keyframe_iterations": 150, "frame_iterations": 60}
+    settings = {"budget": 400, "capacity": 600, "sh_degree": 0} | counts | settings
+    return Trainer(TrainSettings(**settings), scene_extent(ring()))
 
 
 def shifted(by, rows=slice(0, 20)):

@@ -11,7 +11,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,7 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.scene.sequence import open_sequence
-from tools.lab import Lab, Page, Row, Section, Table, Took, alone, listed, middle, rows_of, setting, timed
+from tools.lab import Lab, Page, Row, Section, Table, alone, listed, rows_of, setting
 from tools.lab.made import make_scene
 
 LEVELS = LevelSettings(0.0), LevelSettings(0.5, 2.0)
@@ -41,8 +40,6 @@ class Options:
     rows: tuple[int, ...] = setting((10_000, 100_000, 1_000_000), "Gaussians of made scenes")
     frames: tuple[int, ...] = setting((30, 300, 3000), "frames")
     few: int = setting(2000, "Gaussians of made scenes of many frames")
-    moving: int = setting(0, "Gaussians of a ball that all swing in a wave, of which only decoding is measured")
-    repeat: int = setting(5, "runs of it")
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +61,6 @@ COLUMNS = {
 
 
 def run(options: Options, lab: Lab) -> Page:
-    if options.moving:
-        return measure_moving(options.moving, options.frames[0], options.repeat)
     found: list[Measured] = []
     sizes = [(rows, options.frames[0]) for rows in options.rows] + [(options.few, frames) for frames in options.frames]
     for rows, frames in sizes:
@@ -73,21 +68,6 @@ def run(options: Options, lab: Lab) -> Page:
         lab.tell(str(found[-1]))
     section = Section(growth_words(found, options.few), tables=[Table("scale", scenes_of(found), COLUMNS)])
     return Page([section], HOW, data=[Table("scale-steps", rows_of(found))])
-
-
-def measure_moving(rows: int, frames: int, repeat: int) -> Page:
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        make_scene(rows, frames, folder / "scene", wave=True)
-        encode(open_sequence(folder / "scene"), folder / "package", SETTINGS)
-        package = open_package(folder / "package")
-        took = [middle(timed(partial(decode_all, package, n), repeat)) for n in (1, frames)]
-        later = Took(*((b - a) / (frames - 1) for a, b in zip(*took, strict=True)))
-    words = (
-        f"The first of {frames} frames with {rows:,} Gaussians that all move is decoded in {1e3 * took[0].wall:.0f} ms "
-        f"({1e3 * took[0].cpu:.0f} of the CPU), each later one in {1e3 * later.wall:.0f} ({1e3 * later.cpu:.0f})."
-    )
-    return Page([Section(words)], f"Medians of {repeat} runs.")
 
 
 def scenes_of(found: Sequence[Measured]) -> list[Row]:

@@ -61,6 +61,7 @@ def _row(scene: Scene, package: Package, place: Place, work: Callable[[], list[G
     cameras = draw_views(package.manifest.region, VIEWS, SEED)
     numbers = evenly_spaced(frames, FRAMES)
     originals = {n: scene.sequence.load([n]).frames[0] for n in numbers}
-    error = float(np.mean([picture_error(shown[n], originals[n], camera) for n in numbers for camera in cameras]))
+    errors = [picture_error(shown[n], originals[n], camera) for n in numbers for camera in cameras]
     took = [t.times(1 / frames) for t in timed(work, repeats)]
-    return [Row.of(place, took, [psnr(error)], UNIT)]
+    mean = psnr(float(np.mean(errors)))
+    return [Row.by(place, took, (mean, mean, mean), UNIT, samples=[psnr(error) for error in errors])]

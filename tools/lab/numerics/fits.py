@@ -14,16 +14,8 @@ import torch
 
 from airgs_codec.render import cpu
 from airgs_codec.trainer.data.pictures import TargetPicture, View
-from airgs_codec.trainer.fit.losses import (
-    Parameters,
-    better,
-    codec_steps,
-    from_gaussians,
-    photometric,
-    render_views,
-    temporal_weights,
-    to_gaussians,
-)
+from airgs_codec.trainer.fit import losses
+from airgs_codec.trainer.fit.losses import Parameters, from_gaussians, photometric, render_views, to_gaussians
 from airgs_codec.trainer.fit.optimise import Adam, PerGaussian, Schedule, optimise
 from airgs_codec.trainer.fit.trainer import MOVING_RATES
 from airgs_codec.trainer.settings import TrainSettings
@@ -121,7 +113,7 @@ def fit(
     optimise(variables, views, Schedule("fit", iterations, lambda done: 0), np.random.default_rng(0))
     after = variables.detached()
     if keep_better and problem.rates == MOVING_RATES:  # a frame after another one
-        shown = better(problem.start, to_gaussians(after), views)
+        shown = losses.better(problem.start, to_gaussians(after), views)
         after = base if shown is problem.start else after
     finite = all(bool(torch.isfinite(p).all()) for p in after.values())
     with torch.no_grad():
@@ -137,7 +129,7 @@ def fit(
 
 
 def _price_of_changes(problem: Problem) -> Parameters:
-    return temporal_weights(TrainSettings().temporal, codec_steps(problem.start, problem.cameras))
+    return losses.temporal_weights(TrainSettings().temporal, losses.codec_steps(problem.start, problem.cameras))
 
 
 def judge(axis: Axis, name: str, factor: str, value: float) -> Judged:

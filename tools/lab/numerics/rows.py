@@ -25,7 +25,7 @@ FOX, FOX_VIEWS = DATA / "fox", DATA / "fox_views"
 FOX_FPS = 24
 SPINACH_VIEWS = "spinach_views.json"  # beside the clip
 SPINACH_FRAMES = 8  # of the clip, the first ones
-REPEATS = 5
+REPEATS = 6  # with fewer pairs nothing is beyond chance
 
 
 class Place(NamedTuple):
@@ -53,17 +53,25 @@ class Row:
     wall: float  # seconds by the clock on the wall, median
     runs: int
     note: str = ""  # what stands beside its point
+    samples: tuple[float, ...] = ()  # what `error` is of, in the same order in all rows of a scene: pairs
 
     @staticmethod
     def of(place: Place, took: Sequence[Took], errors: Sequence[float], unit: str) -> Row:
         """The row of some runs, at least one; `errors` are of runs, too."""
-        return Row.by(place, took, quartiles(errors), unit)
+        return Row.by(place, took, quartiles(errors), unit, samples=errors)
 
     @staticmethod
-    def by(place: Place, took: Sequence[Took], error: tuple[float, float, float], unit: str, note: str = "") -> Row:
+    def by(
+        place: Place,
+        took: Sequence[Took],
+        error: tuple[float, float, float],
+        unit: str,
+        note: str = "",
+        samples: Sequence[float] = (),
+    ) -> Row:
         spread = quartiles([t.cpu for t in took])
         wall = quartiles([t.wall for t in took])[0]
-        return Row(*place, *spread, *error, unit, wall, len(took), note)
+        return Row(*place, *spread, *error, unit, wall, len(took), note, tuple(samples))
 
 
 def quartiles(values: Sequence[float]) -> tuple[float, float, float]:

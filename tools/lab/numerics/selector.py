@@ -1,9 +1,8 @@
 """Quality of experience over links against microseconds a choice: policies, and how far the default one looks ahead.
 
-QoE of a session is what its report says: the mean quality of its segments less changes and waiting. Links have one and
-a half times the rate of the top rung on average, where what is best is seldom in doubt, or three quarters of it. They
-are LTE traces at that rate where a folder of them is given, or made ones of a seed each. Nobody chooses what knows the
-link; it is played to show what is left.
+QoE of a session is what its report says: quality less changes and waiting. Links have one and a half times the rate of
+the top rung on average, where what is best is seldom in doubt, or three quarters of it. They are traces at that rate
+where folders of them are given, or made ones of a seed each.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from airgs_codec.play import policies as known
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.playout import SessionSettings
-from airgs_codec.play.policies import DEFAULT_POLICY, POLICY_NAMES, PlayerState, Policy, make_policy
+from airgs_codec.play.policies import ADAPTIVE, DEFAULT_POLICY, PlayerState, Policy, make_policy
 from airgs_codec.play.session import simulate
 from airgs_codec.play.trace import Link, Trace, markov_trace
 from tools.lab import Took, seconds_of
@@ -52,7 +51,7 @@ class Links:
 
 
 def policies(bench: Bench) -> Iterator[Point]:
-    yield from _points(bench, "policies", [(name, partial(_named, name)) for name in POLICY_NAMES])
+    yield from _points(bench, "policies", [(name, partial(_named, name)) for name in ADAPTIVE])
 
 
 def horizons(bench: Bench) -> Iterator[Point]:
@@ -96,7 +95,8 @@ def sessions(links: Links, place: Place, share: float, make: Maker) -> list[Row]
         assert metrics.qoe is not None
         experience.append(metrics.qoe)
         waits.append(metrics.stall_ratio)
-    return [Row.by(place, took, average(experience), UNIT, f"{100 * float(np.mean(waits)):.1f} % waiting")]
+    note = f"{100 * float(np.mean(waits)):.1f} % waiting"
+    return [Row.by(place, took, average(experience), UNIT, note, experience)]
 
 
 def watched(policy: Policy, took: list[Took]) -> Policy:

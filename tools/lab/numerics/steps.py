@@ -14,13 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.analysis.sensitivity import measure_sensitivity
-from airgs_codec.coding.channels import (
-    colour_transform,
-    fit_colour_transform,
-    keyframe_channels,
-    pack_matrix,
-    unpack_matrix,
-)
+from airgs_codec.coding import channels
+from airgs_codec.coding.channels import colour_transform, fit_colour_transform, pack_matrix, unpack_matrix
 from airgs_codec.coding.motion import FLOOR, StepSettings, classify_motion, get_step, motion_classes, motion_units
 from airgs_codec.coding.sidecar import fit_grid
 from airgs_codec.encoder.sample import PRESET, CalibrationSample, encode_and_decode
@@ -30,18 +25,8 @@ from airgs_codec.encoder.streams import FLOAT_ROUNDING
 from airgs_codec.media.h264 import CodecSettings, delta_codec, keyframe_codec, qp_step
 from airgs_codec.package.layout import KEYFRAME
 from airgs_codec.scene.gaussians import Gaussians
-from tools.lab.numerics.outcome import (
-    BOUNDED,
-    DIVERGES,
-    EXACT,
-    NOT_FINITE,
-    UNFIT,
-    Case,
-    Judged,
-    error_end,
-    grid,
-    number,
-)
+from tools.lab.numerics import outcome
+from tools.lab.numerics.outcome import BOUNDED, DIVERGES, EXACT, NOT_FINITE, UNFIT, Case, Judged, grid
 from tools.lab.numerics.problems import SIZE, cameras
 
 LIMIT = ((1 + PRIOR) / PRIOR) ** 0.5  # of a factor on a step, and its inverse
@@ -83,7 +68,11 @@ def judge_factors(factors: Mapping[str, float], ideal: Mapping[str, float]) -> J
     if max(largest, 1 / least) > LIMIT * (1 + 1e-9):
         return DIVERGES, apart, ""
     equal = max(abs(np.log(factors[name] / ideal[name])) for name in factors) <= np.log(ALIKE)
-    return EXACT if equal else BOUNDED, apart, "" if equal else f"no factor beyond {number(LIMIT)} or its inverse"
+    return (
+        EXACT if equal else BOUNDED,
+        apart,
+        "" if equal else f"no factor beyond {outcome.number(LIMIT)} or its inverse",
+    )
 
 
 def cloud(rows: int = ROWS, seed: int = 0) -> Gaussians:
@@ -179,7 +168,7 @@ def code_keyframes(sample: CalibrationSample, factor: float) -> Judged:
     """Keyframes at steps times a factor: largest error in steps, and the bytes."""
     steps = StepSettings()
     transform = colour_transform(sample.keyframe, steps.keyframe)
-    values = keyframe_channels(sample.keyframe, transform, steps.keyframe, steps.grid)
+    values = channels.keyframe_channels(sample.keyframe, transform, steps.keyframe, steps.grid)
     units = KEYFRAME.steps(steps.keyframe, 3) * factor
     sizes, decoded = encode_and_decode(values[None], units, keyframe_codec(PRESET))
     rounding = FLOAT_ROUNDING * float((np.abs(values) / units[:, None]).max())
@@ -196,7 +185,7 @@ def _coded(error: float, size: float, most: float) -> Judged:
     if not np.isfinite(error):
         return NOT_FINITE, error, ""
     words = f"{size:.0f} B" if size else "nothing is sent"
-    return (BOUNDED if error <= most else DIVERGES), error, f"by {number(most)} steps ({words})"
+    return (BOUNDED if error <= most else DIVERGES), error, f"by {outcome.number(most)} steps ({words})"
 
 
 def klt_error(decades: float, invert: bool) -> Judged:
@@ -209,7 +198,7 @@ def klt_error(decades: float, invert: bool) -> Judged:
     channels = scaled @ np.linalg.inv(stored) if invert else scaled @ stored.T
     back = channels.astype(np.float32) @ stored.astype(np.float32)
     error = float(np.abs(back - scaled).max() / np.abs(scaled).max())
-    return error_end(error, 1e-6), error, f"condition of the stored transform {np.linalg.cond(stored):.5f}"
+    return outcome.error_end(error, 1e-6), error, f"condition of the stored transform {np.linalg.cond(stored):.5f}"
 
 
 def judge_classes(decades: float) -> Judged:
@@ -238,7 +227,7 @@ def cases() -> list[Case]:
             part="codec", name="codec-closed-form", title="Closed form for steps",
             label="decades of the errors of steps", value="largest factor on a step / least", own=(WITH, ""),
             points=grid([WITH, WITHOUT], KINDS, (0.0, 0.5, 1.0, 2.0, 3.0, 6.0, 12.0, 24.0, 300.0)),
-            judge=judge_spread, why=f"a limit on factors of {number(LIMIT)} and its inverse",
+            judge=judge_spread, why=f"a limit on factors of {outcome.number(LIMIT)} and its inverse",
         ),
         Case(
             part="codec", name="codec-steps", title="Steps from tiny to huge", label="factor on all steps",

@@ -17,22 +17,8 @@ import torch
 
 from airgs_codec.render import cpu
 from tools.lab import Lab, Page, PagePicture, Section, Table, content, rows_of, setting
-from tools.lab.numerics import fits, gradients, plans, steps
-from tools.lab.numerics.outcome import (
-    BOUNDED,
-    DIVERGES,
-    ENDS,
-    EXACT,
-    FAULTS,
-    NOT_FINITE,
-    REFUSED,
-    UNFIT,
-    Case,
-    Cell,
-    count_ends,
-    does_well,
-    ranges,
-)
+from tools.lab.numerics import fits, gradients, outcome, plans, steps
+from tools.lab.numerics.outcome import BOUNDED, DIVERGES, EXACT, NOT_FINITE, REFUSED, UNFIT, Case, Cell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,7 +89,7 @@ def run(options: Options, lab: Lab) -> Page:
     with cpu.one_thread():
         for case in (case for case in CASES if case.part in options.only):
             cells += lab.results.once(case.name, reads, partial(case.run, options.quick))
-            lab.tell(f"{case.name:<24} {count_ends(case.shipped(cells))}")
+            lab.tell(f"{case.name:<24} {outcome.count_ends(case.shipped(cells))}")
     return page(cells)
 
 
@@ -118,8 +104,8 @@ def page(cells: Sequence[Cell]) -> Page:
         size = 4.3 * columns, (1.5 + 0.24 * tall) * -(-len(maps) // columns) + 0.4
         caption = f"How experiments end: {part}"
         pictures.append(PagePicture(f"stiff-{part}", caption, partial(draw, maps, columns), size))
-    wrong = [cell for cell in own if cell.end in FAULTS]
-    words = ", ".join(f"{count} {plural(end)}" for end, count in count_ends(own).items())
+    wrong = [cell for cell in own if cell.end in outcome.FAULTS]
+    words = ", ".join(f"{count} {plural(end)}" for end, count in outcome.count_ends(own).items())
     faults = f"{len(wrong)} diverge or are not finite" if wrong else "none diverges or is not finite"
     answer = f"Of {len(own)} experiments with the code as it is, {words}; {faults}. {HOW} Bold: the loss is halved."
     rows = [row for line in LINES if (row := row_of(line, tried, cells))]
@@ -133,12 +119,12 @@ def row_of(line: Line, cases: Sequence[Case], cells: Sequence[Cell]) -> dict[str
     """Return a line of the page; {} where none of its cases was tried."""
     of = {case.name: case for case in cases if case.name in line.names}
     own = [cell for case in of.values() for cell in case.shipped(cells)]
-    counts, words = count_ends(own), dict.fromkeys(ENDS, "")
+    counts, words = outcome.count_ends(own), dict.fromkeys(outcome.ENDS, "")
     words[BOUNDED] = " by " + ", ".join(bounds_of(list(of.values()), cells))
     words[UNFIT] = ": " + ", ".join(dict.fromkeys(cell.note for cell in own if cell.end == UNFIT))
     words[REFUSED] = ": " + ", ".join(case.refused for case in of.values() if case.refused)
     happens = "; ".join(f"{end}{words[end]} ({count})" for end, count in counts.items())
-    well = ranges(own, does_well)
+    well = outcome.ranges(own, outcome.does_well)
     return {"what you meet": line.meet, HAPPENS: happens, "what to do": line.do.format(well=well)} if own else {}
 
 
@@ -176,7 +162,7 @@ def draw(maps: Sequence[tuple[Case, str, list[Cell]]], columns: int, figure: Fig
         _draw_map(axis, *one)
     for axis in axes[len(maps) :]:
         axis.axis("off")
-    used = [end for end in ENDS if any(cell.end == end for _, _, some in maps for cell in some)]
+    used = [end for end in outcome.ENDS if any(cell.end == end for _, _, some in maps for cell in some)]
     handles = [Patch(facecolor=COLOURS[end], edgecolor="#888888", label=end) for end in used]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(used), fontsize=9, frameon=False)
 
@@ -189,7 +175,7 @@ def _draw_map(axis: Axes, case: Case, panel: str, cells: Sequence[Cell]) -> None
     for cell in cells:
         at = ys.index(cell.row), xs.index(cell.x)
         picture[at] = to_rgb(COLOURS[cell.end])
-        weight = "bold" if case.part == "trainer" and does_well(cell) else "normal"
+        weight = "bold" if case.part == "trainer" and outcome.does_well(cell) else "normal"
         axis.text(at[1], at[0], _short(cell.value), ha="center", va="center", fontsize=6, weight=weight)
     axis.imshow(picture, aspect="auto", origin="lower", interpolation="nearest")
     axis.grid(visible=False)

@@ -1,8 +1,8 @@
-"""Error against run time: a question for each part that trades one for the other, with the setting to take.
+"""Error against run time: a question for each part that trades one for the other, with what is known of its settings.
 
-A question is a value: the settings that were measured, how good they are in one unit, and what is good enough. Its
-answer is computed: the cheapest setting that is nearly as good as the best, what less and more time would give, and
-what the default is worth beside it.
+A question is a value: the settings that were measured, and how good they are in one unit. Its answer is computed, in
+pairs with the default over links, pictures or seeds: what is better beyond its error, what is cheaper without a
+difference, or what the next cheaper one costs.
 """
 
 from __future__ import annotations
@@ -16,13 +16,15 @@ from typing import TYPE_CHECKING
 import torch
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.policies import DEFAULT_POLICY, HORIZON_SEGMENTS, ORACLES
+from airgs_codec.play.policies import DEFAULT_POLICY, HORIZON_SEGMENTS
+from airgs_codec.play.study import SURE_TRACES
 from airgs_codec.play.trace import read_trace
 from airgs_codec.render import cpu
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, PagePicture, Section, Table, content, plain_log_ticks, rows_of, setting
 from tools.lab.numerics import decode, encode, renderer, selector, survey, trainer
 from tools.lab.numerics.rows import FOX, FOX_FPS, REPEATS, Bench, Point, Row, Scene, open_spinach
+from tools.lab.paired import difference
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,46 +38,42 @@ class Question:
     measure: Callable[[Bench], Iterator[Point]]
     unit: str  # of error; its first word is that of a difference
     time: str  # what the seconds are of
-    enough: float  # as near to the best as this is good enough, in the unit
     default: tuple[str, str] = ("", "")  # curve and setting; nothing: it is not among those measured
     more: bool = False  # whether more of the unit is better
     log: bool = False  # axis of error
     last: bool = False  # only the last setting of each curve is judged: the others are other tasks
-    without: tuple[str, ...] = ()  # settings that nobody can choose
     labels: bool = True  # settings stand beside their points
-    why: str = ""  # the default may be another than the answer
+    says: Callable[[str, list[Row]], str] | None = None  # its own answer of a scene
 
 
 CPU = "CPU seconds"
 QUESTIONS = (
     Question(
-        "encode", "What does time buy in an encode?", encode.measure, encode.UNIT, CPU, 0.3,
-        default=(encode.CALIBRATED, "veryslow"),
+        "encode", "What does time buy in an encode?", encode.measure, encode.UNIT, CPU, (encode.CALIBRATED, "veryslow")
     ),
     Question(
-        "claims", "How many pictures does a claim need?", survey.measure, survey.OFF, CPU, 0.1,
-        log=True, labels=False,
+        "claims", "How many pictures does a claim need?", survey.measure, survey.OFF, CPU, log=True, labels=False,
+        says=survey.answer,
     ),
     Question(
-        "decode", "What does a cheaper rung save in decoding?", decode.measure, decode.UNIT, f"{CPU} a frame", 0.5,
-        default=(decode.RUNGS, "L0"), more=True,
+        "decode", "What does a cheaper rung save in decoding?", decode.measure, decode.UNIT, f"{CPU} a frame",
+        (decode.RUNGS, "L0"), more=True,
     ),
     Question(
-        "renderer", "Is a picture in float32 good enough?", renderer.measure, renderer.UNIT, f"{CPU} a picture", 1e-3,
-        default=(renderer.SHIPPED, "320 x 320"), log=True, last=True, labels=False,
+        "renderer", "Is a picture in float32 good enough?", renderer.measure, renderer.UNIT, f"{CPU} a picture",
+        (renderer.SHIPPED, "320 x 320"), log=True, last=True, labels=False,
     ),
     Question(
-        "trainer", "How many iterations does a frame need?", trainer.measure, trainer.UNIT, CPU, 0.1,
-        default=("direct", "300"), more=True,
+        "trainer", "How many iterations does a frame need?", trainer.measure, trainer.UNIT, CPU, ("direct", "300"),
+        more=True,
     ),
     Question(
         "horizon", "How many segments ahead should a plan look?", selector.horizons, selector.UNIT, f"{CPU} a choice",
-        0.1, default=("horizon", str(HORIZON_SEGMENTS)), more=True,
-        why="it waits least, which QoE counts for little",
+        ("horizon", str(HORIZON_SEGMENTS)), more=True,
     ),
     Question(
-        "policies", "Which policy should choose?", selector.policies, selector.UNIT, f"{CPU} a choice", 0.1,
-        default=("policies", DEFAULT_POLICY), more=True, without=tuple(ORACLES),
+        "policies", "Which policy should choose?", selector.policies, selector.UNIT, f"{CPU} a choice",
+        ("policies", DEFAULT_POLICY), more=True,
     ),
 )  # fmt: skip
 NAMES = tuple(question.name for question in QUESTIONS)
@@ -84,9 +82,9 @@ NAMES = tuple(question.name for question in QUESTIONS)
 WIDTH, HEIGHT = 6.0, 3.7  # inches of a scene's axes
 FEW_TICKS = 5
 HOW = (
-    f"The setting to take is the cheapest that is nearly as good as the best. Seconds are the CPU's, medians of "
-    f"{REPEATS} runs; bars reach from quartile to quartile. PSNR is from views that decided nothing; QoE is the mean "
-    "over links, with its standard error."
+    "Settings are compared with the default in pairs, over links, pictures or seeds: a difference counts where its "
+    "95 % interval leaves zero out (bootstrap), with at least six pairs. Seconds are the CPU's, medians of "
+    f"{REPEATS} runs ({encode.REPEATS} encodes); bars reach from quartile to quartile, or one standard error of QoE."
 )
 
 
@@ -94,7 +92,7 @@ HOW = (
 class Options:
     fox: Path = setting(FOX, "a sequence with its cameras")
     spinach: Path | None = setting(None, "a clip with spinach_views.json beside it, in addition")
-    traces: Path | None = setting(None, "a folder of traces for sessions, in place of made ones")
+    traces: tuple[Path, ...] = setting((), "folders of traces for sessions, in place of made ones")
     only: tuple[str, ...] = setting(NAMES, "parts", choices=NAMES)
     quick: bool = setting(False, "fewer points and runs")
 
@@ -103,7 +101,7 @@ def run(options: Options, lab: Lab) -> Page:
     scenes = [Scene("fox", open_sequence(options.fox, fps=FOX_FPS))]
     if options.spinach is not None:
         scenes.append(open_spinach(options.spinach))
-    traces = tuple(map(read_trace, sorted(options.traces.iterdir()))) if options.traces is not None else ()
+    traces = tuple(read_trace(path) for folder in options.traces for path in sorted(folder.iterdir()))
     bench = Bench(tuple(scenes), lab.folder, traces, options.quick)
     torch.set_num_threads(1)
     code = content(Path(__file__).parent)
@@ -125,7 +123,11 @@ def page(rows: Sequence[Row]) -> Page:
             size = WIDTH * len(by_scene(some)), HEIGHT
             picture = PagePicture(f"precision-{question.name}", question.text, partial(draw, question, some), size)
             sections.append(Section(answer(question, some), question.text, [picture]))
-    return Page(sections, HOW, data=[Table("work_precision", rows_of(rows))])
+    return Page(
+        sections,
+        HOW,
+        data=[Table("work_precision", [{k: v for k, v in row.items() if k != "samples"} for row in rows_of(rows)])],
+    )
 
 
 def by_scene(rows: Sequence[Row]) -> dict[str, list[Row]]:
@@ -133,26 +135,36 @@ def by_scene(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def answer(question: Question, rows: Sequence[Row]) -> str:
-    """The setting to take in each scene, and what the default is worth beside it where it is another."""
+    """Beside the default of each scene: what is better beyond its error, else what is as good, else the next one."""
     words = []
     for scene, some in by_scene(rows).items():
-        judged = [row for row in some if row.setting not in question.without]
-        if question.last:
-            judged = list({row.curve: row for row in judged}.values())
-        if len(judged) < 2:
-            continue  # nothing to choose from
-        sign = 1 if question.more else -1
-        best = max(judged, key=lambda row: sign * row.error)
-        near = [row for row in judged if sign * (best.error - row.error) <= question.enough]
-        take = min(near, key=lambda row: row.seconds)
-        name = f"`{take.setting}` ({take.curve})"
-        words.append(f"{scene}: take {name}, {figure(take.error)} {question.unit} in {seconds(take.seconds)}")
-        for row in (row for row in judged if (row.curve, row.setting) == question.default and row != take):
-            gain, times = sign * (row.error - take.error), figure(row.seconds / take.seconds)
-            worth = f"{figure(abs(gain))} {question.unit.split()[0]} {'better' if gain > 0 else 'worse'}"
-            words[-1] += f"; the default, `{row.setting}`, is {worth} in {times} times the time"
-            words[-1] += f": {question.why}" if question.why else ""
+        if question.says:
+            words.append(question.says(scene, some))
+            continue
+        judged = list({row.curve: row for row in some}.values()) if question.last else some
+        named = [row for row in judged if (row.curve, row.setting) == question.default]
+        base = (named or [row for row in judged if row.curve == question.default[0]] or judged)[-1]
+        sign, unit = 1 if question.more else -1, question.unit.split()[0]
+        pairs = {row: [sign * value for value in row.samples] for row in judged}
+        beside = {row: difference(pairs[row], pairs[base]) for row in judged}
+        better = [row for row in judged if beside[row].sign > 0]
+        cheaper = [row for row in judged if row.seconds < base.seconds]
+        same = [row for row in cheaper if not beside[row].sign and len(base.samples) >= SURE_TRACES]
+        note = f", {base.note}" if base.note else ""
+        of = f"{scene}: {named_as(base)}, {figure(base.error)} {question.unit} in {seconds(base.seconds)}{note}"
+        if better or same or cheaper:
+            row = max(better or cheaper, key=lambda row: sign * row.error)
+            row = row if better or not same else min(same, key=lambda row: row.seconds)
+            found = beside[row].words(unit)
+            if len(base.samples) < SURE_TRACES:
+                found = f"{figure(row.error)} {unit}, measured once"
+            of += f"; {named_as(row)}, in {figure(row.seconds / base.seconds)} of the time: {found}"
+        words.append(of)
     return f"{'. '.join(words)}." if words else ""
+
+
+def named_as(row: Row) -> str:
+    return f"`{row.setting}` ({row.curve})" if row.setting != row.curve else row.curve
 
 
 def seconds(value: float) -> str:

@@ -10,23 +10,23 @@ that does not reach it is shown at its nearest point. Points that were measured 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
 from airgs_codec.errors import ConfigError
+from airgs_codec.render import render
 from tools.lab import Lab, Page, PagePicture, Row, Section, Table, plain_log_ticks, rows_of, setting
 from tools.lab.rd.coders import OURS, OURS_WHOLE, layout_trials, our_trials
 from tools.lab.rd.fourdgs import fourdgs_trials
 from tools.lab.rd.programs import splat4d_trials, splat_transform_trials
-from tools.lab.rd.subject import Measured, RdPoint, Subject, Trial, bd_rate, curves, kb_at, open_subject
+from tools.lab.rd.subject import Measured, RdPoint, Subject, Trial, bd_rate, curves, kb_at, open_subject, rising
 from tools.lab.rd.written import written_trials
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-STYLES = {"published": ":", "veryslow": "-", "keeps all": "--"}  # by the last words of a coder's name
 COLUMNS = {
     "format": ("format", ""), "kb": ("kB a frame", ".1f"), "psnr": ("PSNR, dB", ".1f"),
     "times": ("times airgs at that PSNR", ".1f"), "variant": ("its variant", ""),
@@ -48,12 +48,17 @@ class Options(Measured):
 def run(options: Options, lab: Lab) -> Page:
     sequence, cameras = options.open()
     subject = open_subject(sequence, cameras, options.frames, options.views)
-    chosen = (trial for trial in trials(options) if not options.only or format_of(trial.coder) in options.only)
+    chosen = [trial for trial in trials(options) if not options.only or format_of(trial.coder) in options.only]
     points = list(measure(subject, chosen, lab))
     name = options.sequence.resolve().name
     title = f"{name}: {len(sequence)} frames"
-    picture = PagePicture(f"rd-{name}", title, partial(draw, points, title), (9, 5.5))
     rows = beside(points, options.at)
+    shown = {(one.coder, one.setting): one for one in chosen}
+    beside_ours = [(p, shown[p.coder, p.setting]) for p in nearest_in_bytes(points, rows, options.at)]
+    pictures = [
+        PagePicture(f"rd-{name}", title, partial(draw, points, title), (9, 5.5)),
+        PagePicture(f"rd-{name}-shown", "Original, ours, others", partial(draw_beside, subject, beside_ours), (14, 4)),
+    ]
     how = (
         f"{name}, {len(sequence)} frames of at most {max(header.count for header in sequence.headers):,} Gaussians, in "
         f"{options.frames} of them from {len(cameras)} held-out cameras."
@@ -63,7 +68,7 @@ def run(options: Options, lab: Lab) -> Page:
     nearest = [row for row in rows if row["format"] != OURS_WHOLE][:BRIEF]
     brief = [Table("brief", nearest, dict(list(COLUMNS.items())[:3]))]
     return Page(
-        [Section(verdict(name, rows, options.at), pictures=[picture], tables=brief)], how, data=data, brief=brief
+        [Section(verdict(name, rows, options.at), pictures=pictures, tables=brief)], how, data=data, brief=brief
     )
 
 
@@ -80,7 +85,7 @@ def trials(options: Options) -> Iterator[Trial]:
         yield from splat_transform_trials(options.splat_transform)
 
 
-def measure(subject: Subject, wanted: Iterator[Trial], lab: Lab) -> Iterator[RdPoint]:
+def measure(subject: Subject, wanted: Iterable[Trial], lab: Lab) -> Iterator[RdPoint]:
     """Every trial that could be met; of the others it is told why not."""
     given = [[frames[0].means for _, frames in subject.groups], subject.measured, subject.references[0]]
     for trial in wanted:
@@ -91,6 +96,14 @@ def measure(subject: Subject, wanted: Iterator[Trial], lab: Lab) -> Iterator[RdP
             continue
         lab.tell(f"{point.coder}, {point.setting}: {point.kb_per_frame:.2f} kB a frame, {point.psnr:.2f} dB")
         yield point
+
+
+def nearest_in_bytes(points: Sequence[RdPoint], rows: Sequence[Row], at: float) -> list[RdPoint]:
+    """Our point that is nearest to `at` dB, and those of nearest bytes of the two formats that follow in rows."""
+    ours = min((p for p in points if p.coder == OURS), key=lambda p: abs(p.psnr - at), default=points[0])
+    others = [row["format"] for row in rows if not row["format"].startswith(OURS)][:2]
+    of = [[p for p in points if format_of(p.coder) == name] for name in others]
+    return [ours, *(min(some, key=lambda p: abs(p.kb_per_frame - ours.kb_per_frame)) for some in of)]
 
 
 def _with_ours(points: Sequence[RdPoint]) -> list[Row]:
@@ -143,19 +156,33 @@ def verdict(scene: str, rows: Sequence[Row], at: float) -> str:
 
 
 def draw(points: Sequence[RdPoint], title: str, figure: Figure) -> None:
-    """Bytes against PSNR: a curve for each coder, in one colour for all curves of the same layout."""
+    """Bytes against PSNR: for each format the points that none of its variants beats, with its name at their end."""
     axis = figure.subplots()
-    family = {p.coder: p.coder.removesuffix(f", {p.coder.split(', ')[-1]}") for p in points}
-    family |= {coder: coder for coder in family if not coder.endswith(tuple(STYLES))}
-    colours = {name: f"C{i}" for i, name in enumerate(dict.fromkeys(family.values()))}
-    for coder, curve in curves(points).items():
-        style = next((line for words, line in STYLES.items() if coder.endswith(words)), "-")
+    points = [p for p in points if p.coder != OURS_WHOLE]
+    for name in dict.fromkeys(format_of(p.coder) for p in points):
+        curve = rising([p for p in points if format_of(p.coder) == name])
         x, y = [p.kb_per_frame for p in curve], [p.psnr for p in curve]
-        width = 2.5 if coder == OURS else 1.3
-        axis.plot(x, y, f"o{style}", color=colours[family[coder]], label=coder, linewidth=width, markersize=4)
-    axis.set(xlabel="kB a frame, everything fetched", ylabel="PSNR, dB (against renderings of the input)", title=title)
+        [line] = axis.plot(
+            x, y, "o--" if name == OURS_WHOLE else "o-", linewidth=3 if name == OURS else 1.3, markersize=4
+        )
+        axis.annotate(name, (x[-1], y[-1]), (4, 4), textcoords="offset points", color=line.get_color(), fontsize=9)
+    axis.set(xlabel="kB a frame, everything that a viewer fetches (logarithmic)", title=title)
+    axis.set_ylabel("PSNR against pictures of the original, dB")
     axis.set_xscale("log")
     sizes = [p.kb_per_frame for p in points]
-    axis.set_xlim(0.85 * min(sizes), 1.15 * max(sizes))
+    axis.set_xlim(0.85 * min(sizes), 2 * max(sizes))
     plain_log_ticks(axis.xaxis, most=8)
-    axis.legend(loc="lower right")
+
+
+def draw_beside(subject: Subject, chosen: Sequence[tuple[RdPoint, Trial]], figure: Figure) -> None:
+    """The middle of a measured picture: as it was, and as each trial shows it."""
+    number, camera = subject.measured[len(subject.measured) // 2], subject.cameras[0]
+    pictures = {"original": subject.references[number][0]}
+    for point, trial in chosen:
+        title = f"{format_of(trial.coder)}: {point.kb_per_frame:.1f} kB a frame, {point.psnr:.1f} dB"
+        pictures[title] = render(trial.code(subject).frames[number], camera).rgb
+    for axis, (title, picture) in zip(figure.subplots(1, len(pictures)), pictures.items(), strict=True):
+        left = max(0, picture.shape[1] - picture.shape[0]) // 2
+        axis.imshow(picture[:, left : picture.shape[1] - left].clip(0, 1))
+        axis.set_title(title, fontsize=10)
+        axis.axis("off")

@@ -26,15 +26,9 @@ _FINER = tuple(np.geomspace(1 / reach, reach, 9) for reach in (1.24, 1.06, 1.015
 _FURTHEST = 2.0  # that the middle of a row's time may be from when it is seen: places are as exact as it is near
 _FAINTEST = 1 / 255  # alpha from which it counts where a row is
 _COLUMNS = (
-    ("x", "y", "z"),
-    tuple(f"rot_{i}" for i in range(4)),
-    tuple(f"scale_{i}" for i in range(3)),
-    ("opacity",),
-    tuple(f"f_dc_{i}" for i in range(3)),
-    ("time",),
-    ("log_duration",),
-    tuple(f"velocity_{i}" for i in range(3)),
-)
+    ("x", "y", "z"), tuple(f"rot_{i}" for i in range(4)), tuple(f"scale_{i}" for i in range(3)), ("opacity",),
+    tuple(f"f_dc_{i}" for i in range(3)), ("time",), ("log_duration",), tuple(f"velocity_{i}" for i in range(3)),
+)  # fmt: skip
 
 
 def write_ftgs(path: Path, frames: Sequence[Gaussians], _fps: float) -> None:

@@ -25,10 +25,8 @@ from airgs_codec.scene.gaussians import Gaussians, sigmoid
 RANGE_BYTES = 8  # two float32 for each range that is sent
 SMALLEST_SCALE = 1e-6  # world units; a scale that decodes to 0 has no logarithm
 V3_CAP = 22  # the highest QP of colour, scales and rotation in V^3
-V3_FORMS = (
-    "activated",
-    "stored",
-)  # compress_ckpt_2_image_precompute.py, which V^3's README names, and the one beside it
+# compress_ckpt_2_image_precompute.py, which V^3's README names, and the one beside it
+V3_FORMS = "activated", "stored"
 PUBLISHED = "published"  # instead of a preset: FFmpeg's defaults and a QP, as the scripts of both call it
 Samples = NDArray[np.floating]
 

@@ -44,15 +44,15 @@ def bd_rate(ours: Sequence[RdPoint], theirs: Sequence[RdPoint], low: float = 0.0
     Log rate is interpolated over PSNR by monotone cubics, never beyond a curve's ends. Points that another of the same
     curve beats at fewer bytes are left out: a rate curve must rise. None under 4 points, or where nothing is common.
     """
-    rising = [_rising(points) for points in (ours, theirs)]
-    if min(len(c) for c in rising) < 4:
+    best = [rising(points) for points in (ours, theirs)]
+    if min(len(c) for c in best) < 4:
         return None
-    low = max(low, *(c[0].psnr for c in rising))
-    high = min(high, *(c[-1].psnr for c in rising))
+    low = max(low, *(c[0].psnr for c in best))
+    high = min(high, *(c[-1].psnr for c in best))
     if high <= low:
         return None
     means = []
-    for curve in rising:
+    for curve in best:
         fit = PchipInterpolator([p.psnr for p in curve], [np.log(p.kb_per_frame) for p in curve])
         means.append(float(fit.integrate(low, high)) / (high - low))
     return float(np.expm1(means[0] - means[1]))
@@ -60,13 +60,13 @@ def bd_rate(ours: Sequence[RdPoint], theirs: Sequence[RdPoint], low: float = 0.0
 
 def kb_at(curve: Sequence[RdPoint], psnr: float) -> float | None:
     """kB a frame at which a curve reaches a PSNR in dB, log rate on straight lines over PSNR; None beyond its ends."""
-    rising = _rising(curve)
-    if len(rising) < 2 or not rising[0].psnr <= psnr <= rising[-1].psnr:
+    best = rising(curve)
+    if len(best) < 2 or not best[0].psnr <= psnr <= best[-1].psnr:
         return None
-    return float(np.exp(np.interp(psnr, [p.psnr for p in rising], [np.log(p.kb_per_frame) for p in rising])))
+    return float(np.exp(np.interp(psnr, [p.psnr for p in best], [np.log(p.kb_per_frame) for p in best])))
 
 
-def _rising(points: Sequence[RdPoint]) -> list[RdPoint]:
+def rising(points: Sequence[RdPoint]) -> list[RdPoint]:
     kept: list[RdPoint] = []
     for point in sorted(points, key=lambda p: p.kb_per_frame):
         if not kept or point.psnr > kept[-1].psnr:

@@ -1,6 +1,6 @@
 // A package in a scene of PlayCanvas.
-//
-//     index.html?src=PACKAGE/[&rung=Q1+L0][&frame=12]      the last one stands still
+import { type FrameReader, openFrames } from "airgs-player/frames";
+import { AirgsSplats, tuneGsplat } from "airgs-player/playcanvas";
 import {
   Application,
   Color,
@@ -13,12 +13,7 @@ import {
   Vec3,
 } from "playcanvas";
 import { CameraControls } from "playcanvas/scripts/esm/camera-controls.mjs";
-import { type FrameReader, openFrames } from "../../src/airgs-frames.ts";
-import { AirgsSplats, tuneGsplat } from "./airgs-splats.ts";
-
-const query = new URLSearchParams(location.search);
-const canvas = document.querySelector("canvas")!;
-const output = document.querySelector("output")!;
+import { canvas, play, run, src } from "../show.ts";
 
 function startApp(): Application {
   const app = new Application(canvas, { graphicsDeviceOptions: { antialias: false } }); // splats have soft edges
@@ -66,30 +61,12 @@ function firstView(app: Application, { region }: FrameReader, splats: Entity): v
   controls.focusPoint = matrix.transformPoint(new Vec3(focus));
 }
 
-/** Shows the frame whose time it is, over and over again. */
-async function play(reader: FrameReader, splats: AirgsSplats): Promise<void> {
-  const still = query.get("frame");
-  const start = performance.now();
-  for (let shown = -1; ; await new Promise(requestAnimationFrame)) {
-    const passed = Math.floor(((performance.now() - start) / 1000) * reader.fps);
-    const frame = still === null ? passed % reader.frames : Number(still);
-    if (frame === shown) continue;
-    splats.show(await reader.gaussians(frame, query.get("rung") ?? undefined));
-    output.textContent = `frame ${frame + 1} of ${reader.frames}`;
-    shown = frame;
-  }
-}
-
-async function main(): Promise<void> {
-  const reader = await openFrames(query.get("src") ?? "./");
+run(async () => {
+  const reader = await openFrames(src);
   const app = startApp();
   const splats = new AirgsSplats(app);
   app.root.addChild(splats.entity);
   placeInWorld(splats.entity, reader);
   firstView(app, reader, splats.entity);
   await play(reader, splats);
-}
-
-main().catch((error) => {
-  output.textContent = String(error);
 });

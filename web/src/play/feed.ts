@@ -7,12 +7,8 @@ import type { SessionEvent } from "./downloader.ts";
 import { HttpDownloader, type Source } from "./downloader.ts";
 import type { Offers } from "./offers.ts";
 import { fixedPolicy, ROBUST_MPC } from "./policies/mpc.ts";
-import type { OTHERS } from "./policies/named.ts";
 import type { Policy } from "./policies/state.ts";
 import { Session, type Shared } from "./session.ts";
-
-/** Policies but for the default one are beside this script. */
-const MORE = "./airgs-more.js";
 
 /** Seconds after which a session that lost its server begins again, unless the browser says before that it is back. */
 const RETRY_S = 5;
@@ -84,6 +80,6 @@ export class Feed {
 async function policyOf(name: string, offers: Offers): Promise<Policy> {
   if (name === ROBUST_MPC.name) return ROBUST_MPC;
   if (!(POLICY_NAMES as readonly string[]).includes(name)) return fixedPolicy(name, offers);
-  const part: { POLICIES: typeof OTHERS } = await import(new URL(MORE, import.meta.url).href);
-  return part.POLICIES.get(name)!;
+  const { POLICIES } = await import("../airgs-more.ts"); // all but the default one are beside this script
+  return POLICIES.get(name)!;
 }

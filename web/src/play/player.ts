@@ -8,15 +8,9 @@ import { joinNewest } from "./downloader.ts";
 import { Offers } from "./offers.ts";
 import { Playback, type PlayerOptions, type Problem, problemOf, type Wishes } from "./playback.ts";
 import type { RungInfo } from "./rungs.ts";
-import type { Sound } from "./sound.ts";
 import { type PlayerStats, Statistics } from "./statistics.ts";
-import type { enter } from "./vr.ts";
 
 const NOWHERE: ViewState = { position: [0, 0, 0], forward: [0, 0, 1], up: [0, -1, 0], fovY: 50, near: 0.01 };
-
-/** Parts that few need, beside this script: for headsets, and for packages with sound. */
-const VR = "./airgs-vr.js";
-const SOUND = "./airgs-sound.js";
 
 /** Plays a package on a canvas.
  *
@@ -73,8 +67,8 @@ export class Player extends EventTarget {
 
   async #addSound(playback: Playback): Promise<void> {
     try {
-      const part: { Sound: typeof Sound } = await import(new URL(SOUND, import.meta.url).href);
-      const sound = await part.Sound.of(playback);
+      const { Sound } = await import("./sound.ts"); // beside this script, as few need it
+      const sound = await Sound.of(playback);
       if (playback !== this.#playback) return sound.close();
       playback.sound = sound;
       this.#tell("volumechange");
@@ -256,9 +250,9 @@ export class Player extends EventTarget {
    */
   async enterVr(): Promise<void> {
     const playback = this.#playback;
-    const part: { enter: typeof enter } = await import(new URL(VR, import.meta.url).href);
+    const { enter } = await import("./vr.ts");
     if (!playback || playback !== this.#playback || this.vr) return;
-    await part.enter(
+    await enter(
       playback,
       () => this.#changeDisplay(),
       () => (this.paused ? this.play() : this.pause()),

@@ -1,10 +1,12 @@
 // The rungs of a package as people choose one: what they look like and cost on the whole.
+import { groupPath } from "../format/paths.ts";
 import type { Offers, SegmentOffer } from "./offers.ts";
 
 export interface RungInfo {
   name: string;
   /** dB, mean over the time of the segments whose tables are known; null: not measured. */
   psnr: number | null;
+  /** Of all that is fetched: airgs.json, tables, pictures. */
   kbps: number;
   /** Whether the budget allows it, and no other rung that it allows has more quality at no more bytes. */
   onLadder: boolean;
@@ -15,6 +17,7 @@ export class RungTotals {
   readonly #totals: { bytes: number; quality: number; allowed: boolean }[];
   readonly #counted = new Set<number>();
   #seconds = 0;
+  #tableBytes = 0;
   #rows: RungInfo[] | null = null;
 
   constructor(private readonly offers: Offers) {
@@ -29,6 +32,7 @@ export class RungTotals {
       if (!this.offers.knows(firstSegment)) continue;
       this.#counted.add(group);
       this.#rows = null;
+      this.#tableBytes += this.offers.tables.entry(groupPath(group + 1)).bytes;
       for (let s = firstSegment; s < firstSegment + segments; s++) this.#add(this.offers.of(s));
     }
     this.#rows ??= this.#list();
@@ -36,12 +40,13 @@ export class RungTotals {
   }
 
   #list(): RungInfo[] {
-    const { measured, names } = this.offers;
+    const { measured, names, durationS, tables } = this.offers;
     const seconds = this.#seconds;
+    const shared = this.#tableBytes + (tables.rootBytes * seconds) / durationS;
     const rows = this.#totals.map(({ bytes, quality, allowed }, rung) => ({
       name: names[rung],
       psnr: measured && seconds > 0 ? quality / seconds : null,
-      kbps: seconds > 0 ? (8 * bytes) / seconds / 1000 : 0,
+      kbps: seconds > 0 ? (8 * (bytes + shared)) / seconds / 1000 : 0,
       onLadder: allowed,
     }));
     const allowed = rows.filter(({ onLadder }) => onLadder);

@@ -68,8 +68,8 @@ export abstract class PlayerElement extends Base implements Owner {
     this.connectedCallback();
   }
 
-  get player(): PlayerLike | null {
-    return this.#view?.player ?? null;
+  get player(): ReturnType<this["create"]> | null {
+    return (this.#view?.player as ReturnType<this["create"]>) ?? null;
   }
 
   play(): void {

@@ -289,12 +289,10 @@ class Notes {
   }
 }
 
-const MORE = "./airgs-more.js";
-
 export type More = typeof import("../airgs-more.ts");
 
 /** Throws TypeError where it cannot be fetched. */
-export const loadMore = (): Promise<More> => import(new URL(MORE, import.meta.url).href);
+export const loadMore = (): Promise<More> => import("../airgs-more.ts");
 
 /** Says on a frame what went wrong with what is at `src`; null: what this browser lacks to play anything. */
 export async function showTrouble(

@@ -5,8 +5,8 @@
 import { SparkRenderer } from "@sparkjsdev/spark";
 import * as pc from "playcanvas";
 import * as THREE from "three";
-import { AirgsSplats as PlayCanvasSplats, tuneGsplat } from "../../examples/playcanvas/airgs-splats.ts";
-import { SPARK_SETTINGS, AirgsSplats as SparkSplats } from "../../examples/spark/airgs-splats.ts";
+import { AirgsSplats as PlayCanvasSplats, tuneGsplat } from "../../adapters/playcanvas.ts";
+import { SPARK_SETTINGS, AirgsSplats as SparkSplats } from "../../adapters/spark.ts";
 import type { Gaussians } from "../../src/format/types.ts";
 
 interface View {

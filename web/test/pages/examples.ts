@@ -1,6 +1,7 @@
 // An example of examples/ in a frame of its own, as a visitor sees it.
 //
-//     ?page=URL&size=PIXELS&wanted=NUMBER      its URL; side of its window; how many frames of the package to wait for
+//     ?page=URL&size=PIXELS&wanted=NUMBER|WORDS      its URL; side of its window; how many frames of the package to wait
+//                                                    for, or the words of the one after which there is none
 //
 // Reports the words that it showed, and its last picture as RGBA from the top.
 const QUIET = 10; // pictures between two that must be alike: depth orders come later than Gaussians
@@ -30,8 +31,9 @@ function picture(): Uint8ClampedArray {
 }
 
 async function said(): Promise<string[]> {
+  const wanted = query.get("wanted")!;
   const words = new Set<string>();
-  while (words.size < Number(query.get("wanted"))) {
+  while (words.size < Number(wanted) || (Number.isNaN(Number(wanted)) && !words.has(wanted))) {
     await nextPicture();
     const now = frame.contentDocument!.querySelector("output")!.textContent;
     if (now) words.add(now);
@@ -65,7 +67,7 @@ async function main() {
   await loaded;
   const words = await said();
   const failed = !words.at(-1)!.startsWith("frame ");
-  const pixels = failed ? picture() : await (words.length === 1 ? settled() : drawn());
+  const pixels = failed ? picture() : await (words.at(-1) === query.get("wanted") ? settled() : drawn());
   let text = "";
   for (let i = 0; i < pixels.length; i += 8192) text += String.fromCharCode(...pixels.subarray(i, i + 8192));
   return { words, picture: btoa(text) };

@@ -70,7 +70,7 @@ test("rungs as people see them", async () => {
       [30, 35],
     ],
   };
-  const group = { table: 1, sidecars: [100], pictures: [[900, 400]], segments: [segment, segment] };
+  const group = { table: 100, sidecars: [100], pictures: [[800, 300]], segments: [segment, segment] };
   const levels = [0, 1].map((j) => ({ id: `L${j}`, tiers: 1, pruned: j / 2 }));
   const numbers = { name: "", frame_rate: [10, 1], header_bytes: 0, root_bytes: 0, page_bytes: 0, levels };
   const c = new Offers(new NumberTables({ ...numbers, qualities: ["Q0", "Q1"], groups: [group] }), 0);
