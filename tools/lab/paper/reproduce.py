@@ -54,10 +54,10 @@ TABLE = (
     ("AirGS", 32.29, 0.987, 1.1, 1.4, 400, 0.011, 0.61),
 )
 COLUMNS = {
-    "scene": ("scene", ""), "method": ("method", ""), "psnr": ("dB", ".2f"), "worst": ("worst frame", ".2f"),
-    "fall": ("fall in a group", ".2f"), "deviation": ("deviation", ".2f"), "kb_frame": ("kB a frame", ".1f"),
+    "scene": ("scene", ""), "method": ("method", ""), "psnr": ("dB", ".1f"), "worst": ("worst frame", ".1f"),
+    "fall": ("fall in a group", ".1f"), "deviation": ("deviation", ".2f"), "kb_frame": ("kB a frame", ".1f"),
     "gaussians": ("Gaussians, most", "d"), "train_s_frame": ("CPU s a frame", ".1f"), "chooser": ("sent by", ""),
-    "psnr_screen": ("dB on the screen", ".2f"), "mean_ms": ("ms a frame", ".0f"),
+    "psnr_screen": ("dB on the screen", ".1f"), "mean_ms": ("ms a frame", ".0f"),
 }  # fmt: skip
 BETTER = ("v3", "3dgstream", "4dgs")  # methods that the paper means to be better than
 CLAIMS = (  # of its abstract: a figure, the methods whose least one it is compared with, at most which share of that
