@@ -3,9 +3,9 @@
 L_3DGS = (1 - lambda) L1 + lambda (1 - SSIM) (AirGS, "Representation"): on the CPU one fused pass (`kernels`), on CUDA
 the same numbers from separable convolutions.
 
-The paper's L_temp, the sum of |d|, has no unit and no reduction (AirGS, "Training" 2): summed over raw values its 1e-3
-stops all motion, averaged it does nothing. Here it is weight * mean_i sum_c |d_ic| / step_ic, a mean over Gaussians in
-units of the steps by which the codec will code each channel.
+The paper's L_temp, a norm of d, has no unit and no reduction (AirGS, "Training" 2): with its 1e-3 a sum over plain
+values stops all motion, means do little. Here it is weight * mean_i sum_c |d_ic| / step_ic, a mean over Gaussians in
+units of the steps by which the codec will code each channel; plain sums and means may be had, too.
 
 The PSNR of training is the mean over views of each view's PSNR in dB. The PSNR of a package pools the squared error of
 its pictures first, and is lower where views differ.
@@ -242,9 +242,10 @@ def _blur(*pictures: torch.Tensor) -> Sequence[torch.Tensor]:
 
 def temporal_weights(temporal: Temporal, steps: Mapping[str, torch.Tensor]) -> Parameters:
     """Return the weight of |d| of every element, from the codec step of each."""
-    if temporal.unit == "raw":
-        return {name: torch.full_like(step, temporal.weight) for name, step in steps.items()}
-    return {name: temporal.weight / (len(step) * step) for name, step in steps.items()}
+    if temporal.unit == "step":
+        return {name: temporal.weight / (len(step) * step) for name, step in steps.items()}
+    over: Callable[[torch.Tensor], int] = {"sum": lambda _: 1, "rows": len, "elements": torch.numel}[temporal.unit]
+    return {name: torch.full_like(step, temporal.weight / max(1, over(step))) for name, step in steps.items()}
 
 
 def codec_steps(g: Gaussians, cameras: Sequence[Camera], renderer: Renderer = CPU) -> Parameters:

@@ -255,7 +255,7 @@ def fit_first(
     within = s.densify == BUDGET
     sparse = sparse_cloud(points, views, s.budget or LEAST_BUDGET, rng) if within else None
     few = s.budget or (LEAST_BUDGET if sparse else usual_budget([view.camera for view in views]))
-    fewest, most = (round(0.3 * few), few) if within else (0, trainer.capacity)
+    fewest, most = (round(0.3 * few), few) if within else (0, s.budget or trainer.capacity)
     cloud, unseen = sparse or (initial_points(points, views, fewest, rng), None)
     most -= len(unseen.positions) if unseen else 0
     chosen, largest = np.sort(rng.permutation(len(cloud.positions))[:most]), 0.1 * trainer.extent

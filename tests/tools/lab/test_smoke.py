@@ -14,13 +14,14 @@ from types import SimpleNamespace
 import pytest
 
 from tests.faces import AirgsError, FrameRecord, TrainedFrame, airgs_encode, airgs_train, open_package
-from tests.support.paths import FOX, GOLDEN, VALID
+from tests.support.paths import FOX, FOX_VIEWS, GOLDEN, VALID
 from tests.support.scenes import write_demo
 from tests.support.training import write_blobs
-from tests.support.views import coloured_cloud
+from tests.support.views import coloured_cloud, ring, views_of
 from tools.lab import main, seconds_of
 from tools.lab.experiments import EXPERIMENTS, NO_LONGER_MEASURED
 from tools.lab.numerics import extremes, sequences, stiff
+from tools.lab.paper import server, training
 from tools.lab.published import read_figures
 from tools.lab.rd.coders import layout_trials
 from tools.lab.rd.written import written_trials
@@ -35,7 +36,7 @@ RUNS = {  # by the names of what is published: commands, in a folder with the sc
     "'keyframes as differences' 'empty space stays empty' 'motion goes on'",
     "static": "static fox/000000.ply",
     "tracked-head": "tracked head120 head120/transforms.json --frames 2",
-    "paper": "reproduce --scenes fox=views/fox,frames=0:4 --methods airgs naive3dgs --traces traces --show fox --quick",
+    "paper": "reproduce --scenes fox=views/fox,frames=0:4 --methods airgs-paper naive3dgs --traces traces --share .01",
     "splits-fox": "splits views/fox --splits 1 --hold 2 --frames 0:2",
     "work-precision": "work-precision --fox fox --only decode --quick",
     "stiff": "stiff --quick",
@@ -53,7 +54,7 @@ RUNS = {  # by the names of what is published: commands, in a folder with the sc
     "soak-farm": "soak-farm --groups 1 --kills 4",
 }
 UNPUBLISHED = {"devices", "footage", "pace-train"}
-TWINS = {"rd-spinach", "rd-talk", "tracked-fox", "paper-system", "splits-basketball", "splits-kinoptic"}
+TWINS = {"rd-spinach", "rd-talk", "tracked-fox", "splits-basketball", "splits-kinoptic"}
 TWINS |= {f"mechanisms-{name}" for name in ("basketball", "trainer", "motion", "exposure")}
 
 
@@ -118,7 +119,6 @@ INSTEAD = {
         "CASES": [replace(case, judge=lambda *_: ("bounded", 0.5, "")) for case in stiff.CASES]
     },
     "tools.lab.paper.reproduce": {"in_processes": lambda work, calls, *_: [work(*one) for one in calls]},
-    "tools.lab.paper.training": {"QUICK_FIRST": 3},
     "tools.lab.rd.experiment": {"trials": lambda _: (*islice(layout_trials(), 2), *islice(written_trials(), 1))},
 }
 
@@ -161,3 +161,19 @@ def test_every_published_experiment_is_run_here():
     """But for what needs a browser, and for twins."""
     assert {*RUNS, *TWINS, "engines", *NO_LONGER_MEASURED} - UNPUBLISHED == set(read_figures())
     assert {words.split()[0] for words in RUNS.values()} | {"engines"} == {one.name for one in EXPERIMENTS}
+
+
+def test_no_ablation_of_the_paper_has_the_settings_of_another():
+    subject, means = training.parse_subject(f"fox={FOX_VIEWS}"), training.Means(4_500, 0.1)
+    methods = {name: training.ours(name, subject, means) for name in training.ABLATIONS}
+    assert len({json.dumps(one.settings) for one in methods.values()}) == len(methods) > 7
+    assert [methods[name].training.min_psnr_db for name in ("airgs", "airgs, tau alone", training.PAPER)] == [0, 30, 30]
+    assert {one.training.capacity for one in methods.values()} == {4_500}
+
+
+def test_the_papers_server_sends_what_its_viewer_lacks(package_of):
+    pictures = SimpleNamespace(train=(seen := lambda t: views_of(coloured_cloud(), ring(2))), held_out=seen)
+    serve = server.Server(open_package(package_of("paper")), pictures)
+    sizes, late = ([option.size_bytes for option in serve.levels(past)] for past in ([0, 0], [0, -1]))
+    assert sizes == sorted(sizes, reverse=True) and sizes[-1] < sizes[0] < late[0]
+    assert serve.psnr([0, -1, 0], 2, 2) == serve.psnr([0, 0, 0], 2, 2)  # what was skipped comes with the next

@@ -272,11 +272,11 @@ def test_codec_steps_are_positive_and_finite_at_extremes():
     np.testing.assert_allclose(steps["quaternions"], np.broadcast_to(half, (12, 4)), rtol=1e-5)
 
 
-@pytest.mark.parametrize(("unit", "weights"), [("step", [0.4, 0.1]), ("raw", [0.4, 0.4])])
-def test_temporal_weights_have_the_unit_they_say(unit, weights):
+@pytest.mark.parametrize(("unit", "over"), [("step", 0), ("sum", 1), ("rows", 2), ("elements", 6)])
+def test_temporal_weights_have_the_unit_they_say(unit, over):
     steps = {"means": torch.tensor([[0.5, 0.5, 0.5], [2.0, 2.0, 2.0]])}
     found = losses.temporal_weights(faces.Temporal(0.4, unit), steps)["means"]
-    assert found.tolist() == [pytest.approx([weight] * 3) for weight in weights]
+    assert found.tolist() == [pytest.approx([weight] * 3) for weight in ([0.4 / over] * 2 if over else [0.4, 0.1])]
 
 
 @pytest.mark.parametrize(("sides", "differs"), [((1.05, 1.05), True), ((1.05, 0.95), False)])

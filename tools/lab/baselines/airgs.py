@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 
@@ -39,15 +38,13 @@ class AirGS:
     def frames(self, footage: Footage, done: int, progress: Progress) -> Iterator[Shown]:
         """The frames from number `done` on. Raises what `train` and `encode` do."""
         model = train(self.scene, footage.folder / MODEL, self.training, resume=True, progress=progress)
-        begun = time.perf_counter()
         encode(open_sequence(model.folder), footage.folder / PACKAGE, self.encoding, progress=progress)
-        encode_s = (time.perf_counter() - begun) / footage.frames
         package = open_package(footage.folder / PACKAGE)
         sizes = fetched_bytes(package)
         for frame in decode_frames(package, done, footage.frames):
             record = model.record.frames[frame.number]
             kind = "frame" if record.kind == "frame" else "keyframe"
-            yield Shown(kind, frame.gaussians, sizes[frame.number], record.seconds + encode_s)
+            yield Shown(kind, frame.gaussians, sizes[frame.number])
 
 
 def fetched_bytes(package: Package) -> list[int]:

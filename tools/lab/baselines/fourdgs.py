@@ -7,7 +7,6 @@ resolutions.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import reduce
@@ -149,6 +148,7 @@ class Fourdgs:
     points: int = 2_400  # fewest to start from; random ones fill up
     cells: int = 64  # of a plane along an axis of space, at the coarser resolution
     rate: float = 1.0  # factor on the learning rates of the field
+    rows: int | None = None  # most Gaussians; None: as many as the gradient asks for
     seed: int = 0
 
     @property
@@ -174,7 +174,7 @@ class Fourdgs:
         g = read_model(footage.folder / MODEL, fit.field)
         for t in range(done, footage.frames):
             shown = deformed(g, fit.field, t / max(1, footage.frames - 1))
-            yield Shown("frame" if t else "keyframe", shown, sizes[t], fit.seconds / footage.frames)
+            yield Shown("frame" if t else "keyframe", shown, sizes[t])
 
 
 class Fit:
@@ -190,12 +190,10 @@ class Fit:
         self._losses = LossCheck(1)
         self.total = method.iterations
         self.iteration = 0
-        self.seconds = 0.0
         self._begin()
 
     def step(self) -> None:
         """One iteration. Raises TrainingError where the loss is not finite or no Gaussian is left."""
-        begun = time.perf_counter()
         if self.iteration == self._coarse:
             self.splats = self._make_splats(self.splats.gaussians(), 1)
         self.iteration += 1
@@ -217,7 +215,6 @@ class Fit:
         else:
             done, iterations = self.iteration, self._coarse
         self.splats.step(done, iterations)
-        self.seconds += time.perf_counter() - begun
 
     def _begin(self) -> None:
         m, footage = self._method, self._footage
@@ -235,7 +232,7 @@ class Fit:
 
     def _make_splats(self, start: Gaussians, stage: int) -> Splats:
         timetable = replace(TIMETABLES[stage], gradient=self._method.gradient).scaled(self._factor)
-        return Splats(start, self._extent, timetable, self._method.seed)
+        return Splats(start, self._extent, timetable, self._method.seed, self._method.rows)
 
     def _move_field(self, done: float) -> None:
         for group, rate in zip(self._adam.param_groups, (MLP_RATE, PLANE_RATE), strict=True):

@@ -8,7 +8,6 @@ first frame, A added ones; N Gaussians, M of them in the box of the field, K SH 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 
@@ -193,20 +192,18 @@ class Stream3dgs:
         views = footage.pictures.train(0)
         trainer = make_trainer(self.options.first, views, footage.points, "cpu")
         if not done:
-            begun = time.perf_counter()
             write_ply(path, fit_first(trainer, FrameViews(0, views), footage.points, progress=progress).gaussians)
-            yield Shown("keyframe", read_ply(path), path.stat().st_size, time.perf_counter() - begun)
+            yield Shown("keyframe", read_ply(path), path.stat().st_size)
         first = read_ply(path)
         region = region_of(first, self.options.share)
         moved = read_ply(frame_path(footage.folder, max(0, done - 1))).take(slice(len(first)))
         for t in range(max(1, done), footage.frames):
-            begun = time.perf_counter()
             target = FrameViews(t, footage.pictures.train(t))
             data = _Fit(self.options, trainer, region).encode(moved, target, progress)
             write_bytes(frame_path(footage.folder, t).with_suffix(".stream"), data)
             shown = decode(moved, data, self.options.cache, region)
             moved = shown.take(slice(len(first)))
-            yield Shown("frame", shown, len(data), time.perf_counter() - begun)
+            yield Shown("frame", shown, len(data))
 
 
 def decode(before: Gaussians, data: bytes, cache: FieldSettings, region: Region) -> Gaussians:

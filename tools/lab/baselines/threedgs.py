@@ -6,7 +6,6 @@ Thresholds, opacity reset, no budget; a viewer fetches .ply files. N Gaussians.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 
@@ -18,7 +17,7 @@ from airgs_codec.progress import Progress
 from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.trainer.fit.grow import LOW_OPACITY, is_visible, split_or_clone
+from airgs_codec.trainer.fit.grow import LOW_OPACITY, is_visible, split_or_clone, strongest
 from airgs_codec.trainer.fit.losses import Parameters, from_gaussians, to_gaussians
 from airgs_codec.trainer.fit.optimise import Adam, Rates, Schedule, optimise
 from airgs_codec.trainer.fit.points import from_points, initial_points, scene_extent
@@ -67,9 +66,11 @@ class Timetable:
 class Splats:
     """Gaussians that Adam fits, and the mean gradient by which their number grows: the variables of a fit."""
 
-    def __init__(self, start: Gaussians, extent: float, timetable: Timetable, seed: int, rate: float = 1.0) -> None:
-        """`extent`: of the scene in world units. `seed`: of what splitting draws. `rate`: factor on learning rates."""
-        self.timetable = timetable
+    def __init__(
+        self, start: Gaussians, extent: float, timetable: Timetable, seed: int, rows: int | None, rate: float = 1.0
+    ) -> None:
+        """`extent`: in world units. `seed`: of what splitting draws. `rows`: most. `rate`: factor on learning rates."""
+        self.timetable, self._rows = timetable, rows
         self._rates = replace(RATES, factor=rate)
         self._extent, self._seed = extent, seed
         self._adam = Adam(from_gaussians(start), self._rates.at(0.0, extent))
@@ -115,6 +116,9 @@ class Splats:
         p = self._adam.parameters
         mean = self._sum / self._count.clamp_min(1)  # 0 / 0: no picture showed it
         parents, split = chosen(p, mean, self.timetable.gradient, self._extent)
+        if self._rows is not None:
+            parents = strongest(torch.where(parents, mean, 0.0), self._rows - len(mean))
+            split = split & parents
         rng = np.random.default_rng([self._seed, iteration])
         self._adam.replace_rows(*split_or_clone(p, parents, split, 0, rng))
         largest = LARGEST * self._extent if self.timetable.removes_large(iteration) else math.inf
@@ -152,6 +156,7 @@ class Naive3dgs:
     gradient: float = 2 * GRADIENT  # from which rows are added
     rate: float = 3.0  # factor on the learning rates of the paper, which are made for 30,000 iterations
     points: int = 2_400  # fewest to start from; random ones fill up
+    rows: int | None = None  # most Gaussians of a frame; None: as many as the gradient asks for
     seed: int = 0
 
     @property
@@ -167,11 +172,10 @@ class Naive3dgs:
         torch.set_num_threads(1)  # the renderer has threads of its own
         footage.folder.mkdir(parents=True, exist_ok=True)
         for t in range(done, footage.frames):
-            begun = time.perf_counter()
             g = self.fit(footage, t, progress)
             path = frame_path(footage.folder, t)
             write_ply(path, g)
-            yield Shown("keyframe", g, path.stat().st_size, time.perf_counter() - begun)
+            yield Shown("keyframe", g, path.stat().st_size)
 
     def fit(self, footage: Footage, frame: int, progress: Progress) -> Gaussians:
         """One frame, from the scene's points if it is the first, and from triangulated ones if not."""
@@ -184,7 +188,7 @@ class Naive3dgs:
         extent = scene_extent([view.camera for view in views], cloud)
         start = from_points(cloud.positions, cloud.colours, self.sh_degree, START_OPACITY, extent)
         timetable = Timetable(gradient=self.gradient).scaled(self.iterations / ITERATIONS)
-        splats = Splats(start, extent, timetable, self.seed, self.rate)
+        splats = Splats(start, extent, timetable, self.seed, self.rows, self.rate)
         schedule = Schedule(f"frame {frame} of {footage.frames}", self.iterations, self._sh_degree)
         optimise(splats, views, schedule, rng, progress=progress)
         return splats.gaussians()

@@ -8,7 +8,6 @@ Written from the paper; docs/results/size.md says what is simplified. N Gaussian
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 
@@ -143,9 +142,7 @@ class V3:
         trainer = make_trainer(s.training(), footage.pictures.train(0), footage.points, "cpu")
         for start in range(done - done % s.group_frames, footage.frames, s.group_frames):
             group: list[Gaussians] = []
-            seconds = []
             for t in range(start, min(start + s.group_frames, footage.frames)):
-                began = time.perf_counter()
                 target = FrameViews(t, footage.pictures.train(t))
 
                 def named(stage: str, done: int, total: int, t: int = t) -> None:
@@ -155,12 +152,9 @@ class V3:
                     group.append(fit_frame(trainer, target, group[-1], s, named))
                 else:
                     group.append(fit_keyframe(trainer, target, footage, s, named))
-                seconds.append(time.perf_counter() - began)
-            began = time.perf_counter()
             coded = v3_layout(group, s.qp, s.preset, s.form)
-            coding_s = (time.perf_counter() - began) / len(group)
             for i in range(max(0, done - start), len(group)):
-                yield Shown("frame" if i else "keyframe", coded.frames[i], coded.frame_bytes[i], seconds[i] + coding_s)
+                yield Shown("frame" if i else "keyframe", coded.frames[i], coded.frame_bytes[i])
 
 
 @dataclass(slots=True, eq=False)

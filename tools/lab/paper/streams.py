@@ -3,9 +3,8 @@
 Frame t is pushed at t / R and should be there at (t + 1) / R; the rate of that moment is known. Frames follow one
 another on the link: one that is not through when the next is due delays it. A keyframe is spread evenly over the frames
 up to the next keyframe, for every method alike: no link that carries the other frames in 1 / R seconds carries a
-keyframe in that time. AirGS has its levels to choose from, the others one size a frame; a method whose frames need no
-other frame may skip one that does not fit, as AirGS may. Of a frame that is late or skipped the one that stands is seen
-in its place.
+keyframe in that time. AirGS has its levels to choose from and may skip a frame, the others have one size a frame. Of a
+frame that is late or skipped the one that stands is seen in its place.
 """
 
 from __future__ import annotations
@@ -13,8 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +32,9 @@ from tools.lab.baselines.method import Frame
 
 SECONDS = 10.0  # that are streamed from each offset, in whole rounds of the sequence
 OURS = ("airgs", "airgs-paper")  # methods that have levels to choose from
-INDEPENDENT = ("naive3dgs",)  # methods whose frames need no other frame
 SHORTEST_S = 1e-9  # no sum of times is more exact
 SKIPPED = -1  # in place of a level
 NOTHING = -1  # in place of a frame: none has arrived yet
-PERCENTILES = tuple(range(101))  # of the transmission times: points of their distribution
 
 Levels = tuple[Option, ...]  # of one frame, the best one first
 Chooser = Callable[[Levels, float], tuple[int, bool]]  # levels, budget in bytes -> level or SKIPPED, whether it fits
@@ -48,9 +44,9 @@ def choose_top(levels: Levels, budget: float) -> tuple[int, bool]:
     return levels[0].index, levels[0].size_bytes <= budget
 
 
-def choose_best(levels: Levels, budget: float, cliff: bool = True) -> tuple[int, bool]:
+def choose_best(levels: Levels, budget: float) -> tuple[int, bool]:
     """The best level before the cliff, if there is one, that fits, no level if none does."""
-    decision = select(build_ladder(levels) if cliff else build_ladder(levels, math.inf), budget)
+    decision = select(build_ladder(levels), budget)
     return (decision.index, True) if decision.fits else (SKIPPED, False)
 
 
@@ -60,9 +56,9 @@ def choose_literally(levels: Levels, budget: float) -> tuple[int, bool]:
     return chosen.index, chosen.size_bytes <= budget
 
 
+SERVER = "paper-server"  # the same choice, by a server that knows what its viewer has
 CHOOSERS: dict[str, Chooser] = {
-    "unpruned": choose_top, "paper": choose_best, "paper-no-cliff": partial(choose_best, cliff=False),
-    "paper-literal": choose_literally,
+    "unpruned": choose_top, "paper": choose_best, "paper-literal": choose_literally, SERVER: choose_best,
 }  # fmt: skip
 
 
@@ -87,13 +83,26 @@ class FrameLog:
         return np.concatenate([[NOTHING], sent])[places]
 
 
-def push_frames(frames: Sequence[Levels], fps: float, link: Link, choose: Chooser) -> FrameLog:
+class Source(Protocol):
+    """What may be sent of each frame of a sequence that begins anew after `count` frames."""
+
+    count: int
+
+    def levels(self, past: Sequence[int]) -> Levels:
+        """The levels of the next frame, after frames that were sent at levels of the `past`, or SKIPPED."""
+
+    def psnr(self, sent: Sequence[int], old: int, due: int) -> float:
+        """dB of frame `old` of those sent while frame `due` should be seen, mean over held-out views."""
+
+
+def push_frames(source: Source, count: int, fps: float, link: Link, choose: Chooser) -> FrameLog:
     """Push frames, one every 1 / fps seconds, in the level that `choose` names; levels are numbered from 0."""
-    free_s, pushed = 0.0, []
-    for n, levels in enumerate(frames):
-        due_s = n / fps
+    free_s, pushed, past = 0.0, [], list[int]()
+    for n in range(count):
+        due_s, levels = n / fps, source.levels(past)
         now = link.trace.rate_at(due_s)
         level, fits = choose(levels, frame_budget(now, fps))
+        past.append(level)
         if level == SKIPPED:
             pushed.append((SKIPPED, 0.0, 0.0, 0.0, 0.0, False))
             continue
@@ -112,19 +121,29 @@ class Level:
     psnr: NDArray[np.float64]  # (T, T) dB of frame [i] while [j] should be seen, mean over held-out views
 
 
+class Stored(Source):
+    """Levels that are the same for every viewer."""
+
+    def __init__(self, levels: Sequence[Level]) -> None:
+        """`levels`: the best one first."""
+        self.of_all, self.count, numbered = levels, len(levels[0].sizes), list(enumerate(levels))
+        self._options = [
+            tuple(Option(j, round(v.sizes[t]), float(v.psnr[t, t]), float(v.saved[t])) for j, v in numbered)
+            for t in range(self.count)
+        ]
+
+    def levels(self, past: Sequence[int]) -> Levels:
+        return self._options[len(past) % self.count]
+
+    def psnr(self, sent: Sequence[int], old: int, due: int) -> float:
+        return float(self.of_all[sent[old]].psnr[old % self.count, due % self.count])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
     method: str
     chooser: str  # of CHOOSERS
-    levels: tuple[Level, ...]  # the best one first
-
-    @property
-    def options(self) -> list[Levels]:
-        numbered = list(enumerate(self.levels))
-        return [
-            tuple(Option(j, round(v.sizes[t]), float(v.psnr[t, t]), float(v.saved[t])) for j, v in numbered)
-            for t in range(len(self.levels[0].sizes))
-        ]
+    source: Source
 
     def table(self, log: FrameLog) -> dict[str, Any]:
         """The figures of a session; shares of frames are 0..1, times ms by bits over the rate of the moment.
@@ -134,15 +153,12 @@ class Stream:
         not through the link when the next was due; skipped: nothing was sent; infeasible: no level fitted; outage:
         pushed while the rate was zero. worst_ms, mean and 95 % are of the frames sent outside outages.
         """
-        count, numbers = len(self.levels[0].sizes), np.arange(len(log.levels))
-        sent, shown = log.levels != SKIPPED, log.shown
+        numbers, levels, shown = np.arange(len(log.levels)), log.levels.tolist(), log.shown
+        sent = log.levels != SKIPPED
         ms = 1e3 * log.paper_s[sent & np.isfinite(log.paper_s)]
-        own = [float(self.levels[log.levels[n]].psnr[n % count, n % count]) for n in numbers[sent]]
-        seen = [
-            float(self.levels[log.levels[old]].psnr[old % count, due % count])
-            for old, due in zip(shown, numbers, strict=True)
-            if old != NOTHING
-        ]
+        own = [self.source.psnr(levels, n, n) for n in numbers[sent].tolist()]
+        both = zip(shown.tolist(), numbers.tolist(), strict=True)
+        seen = [self.source.psnr(levels, old, due) for old, due in both if old != NOTHING]
         return {
             "frames": len(numbers), "kb_frame": float(log.sizes.mean() / 1e3),
             "psnr": float(np.mean(own)) if own else np.nan, "psnr_screen": float(np.mean(seen)) if seen else np.nan,
@@ -180,19 +196,24 @@ def spread_keyframes(sizes: Sequence[float], keyframes: Sequence[bool]) -> NDArr
 
 def airgs_levels(package: Package, pictures: ScenePictures) -> tuple[Level, ...]:
     """The levels of a package with their shares of keyframes and tables, in the finest keyframe quality."""
-    m = package.manifest
-    tables = (sum(fetched_bytes(package)) - m.bytes_of(m.rung_files(0, 0))) / m.frames
-    saved = saved_by_level(m)
+    m, saved = package.manifest, saved_by_level(package.manifest)
     levels = []
     for j in range(len(m.levels)):
-        sizes = np.full(m.frames, tables)
+        sizes = keyframe_shares(package, j)
         for index, segment in enumerate(m.segments):
             sizes[segment.start : segment.stop] += delta_bytes(m, index, j)
-        for number, group in enumerate(m.groups):
-            sizes[group.start : group.stop] += keyframe_bytes(m, number, j) / (group.stop - group.start)
         shown = [frame.gaussians for frame in decode_frames(package, 0, m.frames, level=j)]
         levels.append(Level(sizes, saved[j], psnr_of_all(shown, pictures)))
     return tuple(levels)
+
+
+def keyframe_shares(package: Package, level: int) -> NDArray[np.float64]:
+    """(T,) bytes of tables and keyframes of a level, spread over the frames that they are for."""
+    m = package.manifest
+    sizes = np.full(m.frames, (sum(fetched_bytes(package)) - m.bytes_of(m.rung_files(0, 0))) / m.frames)
+    for number, group in enumerate(m.groups):
+        sizes[group.start : group.stop] += keyframe_bytes(m, number, level) / (group.stop - group.start)
+    return sizes
 
 
 def saved_by_level(m: Manifest) -> NDArray[np.float64]:
@@ -204,38 +225,27 @@ def saved_by_level(m: Manifest) -> NDArray[np.float64]:
 
 
 def psnr_of_all(shown: Sequence[Gaussians], pictures: ScenePictures) -> NDArray[np.float64]:
-    """(T, T) mean over held-out views of the PSNR, in dB, of each of T frames against the pictures of each of them."""
-    truth = [[view.target.rgb for view in pictures.held_out(t)] for t in range(len(shown))]
-    cameras = [view.camera for view in pictures.held_out(0)]
-    out = np.empty((len(shown), len(shown)))
-    for i, g in enumerate(shown):
-        loaded = CPU.load(g)
-        drawn = [loaded.draw(camera).rgb for camera in cameras]
-        for t, wanted in enumerate(truth):
-            out[i, t] = np.mean([psnr(mse(a, b)) for a, b in zip(drawn, wanted, strict=True)])
-    return out
+    """(T, T) what `psnr_of` gives for each of T frames."""
+    return np.stack([psnr_of(g, pictures, len(shown)) for g in shown])
 
 
-def streams_of(method: str, levels: tuple[Level, ...]) -> list[Stream]:
-    """The streams of a method: each way to choose among its levels, or to skip, that its frames allow."""
-    choosers = list(CHOOSERS) if method in OURS else ["unpruned", "paper-no-cliff"][: 1 + (method in INDEPENDENT)]
-    return [Stream(method, chooser, levels) for chooser in choosers]
+def psnr_of(shown: Gaussians, pictures: ScenePictures, count: int) -> NDArray[np.float64]:
+    """(T,) mean over held-out views of the PSNR, in dB, of a frame against the pictures of each of `count` frames."""
+    loaded = CPU.load(shown)
+    drawn = [loaded.draw(view.camera).rgb for view in pictures.held_out(0)]
+    views = (zip(drawn, pictures.held_out(t), strict=True) for t in range(count))
+    return np.array([np.mean([psnr(mse(a, view.target.rgb)) for a, view in pairs]) for pairs in views])
 
 
 def stream(one: Stream, traces: Sequence[Trace], offsets: int, fps: float) -> dict[str, Any]:
-    """A row: means over all runs, and percentiles of the paper's times in ms over all frames.
-
-    A frame that was skipped, or pushed while nothing passed, never came: its time counts as infinite.
-    """
-    frames = one.options
-    frames *= max(1, round(SECONDS * fps / len(frames)))
+    """A row: means over all runs."""
+    count = one.source.count
+    count *= max(1, round(SECONDS * fps / count))
     links = [Link.over(trace.cut(at)) for trace in traces for at in offsets_of(trace, offsets, 1)]
-    logs = [push_frames(frames, fps, link, CHOOSERS[one.chooser]) for link in links]
+    logs = [push_frames(one.source, count, fps, link, CHOOSERS[one.chooser]) for link in links]
     runs: list[Mapping[str, float]] = [one.table(log) for log in logs]
     row = {key: _mean_of([run[key] for run in runs]) for key in runs[0]}
-    times = np.concatenate([np.where(log.levels != SKIPPED, log.paper_s, np.inf) for log in logs])
-    percentiles = [float(v) for v in 1e3 * np.percentile(times, PERCENTILES, method="inverted_cdf")]
-    return {"method": one.method, "chooser": one.chooser, "runs": len(runs)} | row | {"percentiles_ms": percentiles}
+    return {"method": one.method, "chooser": one.chooser, "runs": len(runs)} | row
 
 
 def _mean_of(values: Sequence[float]) -> float:

@@ -5,11 +5,13 @@ A scene is NAME=FOLDER, then options after commas. Tables 1 and 2 of the paper: 
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
+from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,22 +24,19 @@ from airgs_codec.errors import AirgsError, ConfigError
 from airgs_codec.jobs.executors import prepare_worker
 from airgs_codec.jobs.work import Work
 from airgs_codec.progress import Progress
-from airgs_codec.render.backend import CPU
-from airgs_codec.scene.formats.ply import read_ply
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out, with_near
 from airgs_codec.trainer.data.pictures import ScenePictures
 from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.settings import TrainSettings, preset
-from tools.lab import timed
+from airgs_codec.trainer.settings import FIRST, Temporal, TrainSettings, preset
 from tools.lab.baselines.airgs import AirGS
 from tools.lab.baselines.fourdgs import Fourdgs
-from tools.lab.baselines.method import Footage, Frame, Method, frame_path, mean_bytes, run_method
+from tools.lab.baselines.method import Footage, Frame, Method, mean_bytes, run_method
 from tools.lab.baselines.stream3dgs import Stream3dgs, StreamSettings
 from tools.lab.baselines.threedgs import Naive3dgs
 from tools.lab.baselines.v3 import V3, V3Settings
 
 OPTIONS = ("frames", "size", "near", "held")
-QUICK_FRAMES, QUICK_SIZE = 4, 128  # most of a scene in a quick run
+T = TypeVar("T", bound=Any)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +47,6 @@ class Subject:
     size: int | None = None  # longest side of the pictures in pixels; None: as they are
     near: float | None = None  # near plane in world units; None: as the scene has it
     held: tuple[str, ...] = ()  # cameras that are held out; none: those that the scene says
-
-    def quick(self) -> Subject:
-        start, stop = self.frames
-        last = start + QUICK_FRAMES if stop is None else min(stop, start + QUICK_FRAMES)
-        return replace(self, frames=(start, last), size=min(self.size or QUICK_SIZE, QUICK_SIZE))
 
     def words(self) -> dict[str, object]:
         words = {"scene": self.folder.resolve().name, "frames": self.frames, "size": self.size, "near": self.near}
@@ -87,51 +81,61 @@ def parse_subject(text: str) -> Subject:
     return Subject(name, Path(folder), parse_frames(options.get("frames")), size, near, held)
 
 
-QUICK_FIRST = 300  # iterations of a fit from scratch in a quick run
+@dataclass(frozen=True, slots=True)
+class Means:
+    """What all methods have alike."""
+
+    rows: int  # most Gaussians that a viewer has of a frame
+    share: float  # of the iterations that each method would have
+
+    def less(self, settings: T) -> T:
+        """The settings with that share of their iterations."""
+        counts = {f.name: getattr(settings, f.name) for f in fields(settings) if f.name.endswith("iterations")}
+        fewer = {name: max(1, round(self.share * (count or FIRST))) for name, count in counts.items()}
+        return replace(settings, **fewer)
+
+    def training(self, subject: Subject) -> TrainSettings:
+        """The trainer's defaults; a third of the Gaussians is left for what appears later."""
+        settings = TrainSettings(max_size=subject.size, budget=round(self.rows / 1.5), capacity=self.rows)
+        return self.less(settings)
 
 
-def trainer_settings(subject: Subject, quick: bool) -> TrainSettings:
-    """The default settings of the trainer, at the size of the pictures of a scene."""
-    settings = TrainSettings(max_size=subject.size)
-    if not quick:
-        return settings
-    return replace(settings, first_iterations=QUICK_FIRST, keyframe_iterations=150, frame_iterations=60, budget=2_000)
+def _v3(_: Subject, means: Means) -> Method:
+    return V3(means.less(V3Settings(rows=means.rows)))
 
 
-def _airgs(subject: Subject, quick: bool) -> Method:
-    return AirGS(subject.open(), trainer_settings(subject, quick))
+def _stream(subject: Subject, means: Means) -> Method:
+    first = means.training(subject)
+    return Stream3dgs(means.less(StreamSettings(first, most_added=means.rows - (first.budget or 0))))
 
 
-def _paper(subject: Subject, quick: bool) -> Method:
-    training = preset("paper", trainer_settings(subject, quick))
-    return AirGS(subject.open(), training, as_in_paper(EncodeSettings()), name="airgs-paper")
+PAPER, SUMMED, SEEDED = "airgs-paper", "paper, sum", "paper, seeded"
+ABLATIONS: dict[str, tuple[str, dict[str, Any]]] = {  # our trainer: a preset, and what differs from it
+    "airgs": ("default", {}),
+    "airgs, tau alone": ("default", {"min_psnr_db": 30.0, "max_drop_db": math.inf}),
+    PAPER: ("paper", {}),
+    SUMMED: ("paper", {"temporal": Temporal(1e-3, "sum", 1.0)}),
+    "paper, mean of elements": ("paper", {"temporal": Temporal(1e-3, "elements", 1.0)}),
+    "paper, no keyframes": ("paper", {"min_psnr_db": 0.0}),
+    "paper, no inflation loss": ("paper", {"inflation": 0.0}),
+    SEEDED: ("paper", {"seeds": True}),
+}
 
 
-def _v3(_: Subject, quick: bool) -> Method:
-    short = V3Settings(rows=2_000, keyframe_iterations=QUICK_FIRST, finetune_iterations=60, frame_iterations=40)
-    return V3(short if quick else V3Settings())
+def ours(name: str, subject: Subject, means: Means) -> AirGS:
+    """Our trainer by a name of ABLATIONS, with the encoder's preset of the same name."""
+    base, changes = ABLATIONS[name]
+    usual = means.training(subject)
+    training = replace(preset(base, usual), capacity=usual.capacity, **changes)
+    encoding = EncodeSettings() if base == "default" else as_in_paper(EncodeSettings())
+    return AirGS(subject.open(), training, encoding, name)
 
 
-def _stream(subject: Subject, quick: bool) -> Method:
-    first = trainer_settings(subject, quick)
-    return Stream3dgs(StreamSettings(first, iterations=40, added_iterations=20) if quick else StreamSettings(first))
-
-
-def _fourdgs(_: Subject, quick: bool) -> Method:
-    return Fourdgs(iterations=2 * QUICK_FIRST) if quick else Fourdgs()
-
-
-def _naive(_: Subject, quick: bool) -> Method:
-    return Naive3dgs(iterations=QUICK_FIRST) if quick else Naive3dgs()
-
-
-METHODS: dict[str, Callable[[Subject, bool], Method]] = {
-    "airgs": _airgs, "airgs-paper": _paper, "v3": _v3, "3dgstream": _stream, "4dgs": _fourdgs, "naive3dgs": _naive,
+METHODS: dict[str, Callable[[Subject, Means], Method]] = {
+    **{name: partial(ours, name) for name in ABLATIONS}, "v3": _v3, "3dgstream": _stream,
+    "4dgs": lambda _, means: means.less(Fourdgs(rows=means.rows)),
+    "naive3dgs": lambda _, means: means.less(Naive3dgs(rows=means.rows)),
 }  # fmt: skip
-
-
-RENDERED = 5  # frames whose pictures are timed
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +145,6 @@ class Trained:
     scene: str
     method: str
     frames: tuple[Frame, ...]
-    fps: float  # pictures a second that one core draws of a held-out view, median over frames
 
 
 def in_processes(work: Callable[..., T], calls: Sequence[Any], count: int, progress: Progress) -> list[T]:
@@ -153,39 +156,33 @@ def in_processes(work: Callable[..., T], calls: Sequence[Any], count: int, progr
         return Work(executor, progress=progress).results("runs", work, calls)
 
 
-def train(subject: Subject, method: str, quick: bool, folder: Path) -> Trained:
+def train(subject: Subject, method: str, means: Means, folder: Path) -> Trained:
     footage = subject.footage(folder)
     try:
-        frames = run_method(METHODS[method](subject, quick), footage)
+        frames = run_method(METHODS[method](subject, means), footage)
     except AirgsError as error:
         raise type(error)(f"{method} on {subject.name}: {error}") from error
-    numbers = np.linspace(0, len(frames) - 1, min(RENDERED, len(frames))).astype(int)
-    camera = footage.pictures.held_out(0)[0].camera
-    seconds = []
-    for number in numbers:
-        loaded = CPU.load(read_ply(frame_path(folder, int(number))))
-        seconds.append(timed(partial(loaded.draw, camera), 1)[0].cpu)
-    return Trained(subject.name, method, tuple(frames), round(1 / float(np.median(seconds)), 1))
+    return Trained(subject.name, method, tuple(frames))
 
 
-def row_of(trained: Trained, rate: float) -> dict[str, Any]:
-    """Return what the tables say of a method, at a rate of frames a second.
+def row_of(trained: Trained) -> dict[str, Any]:
+    """Return what the tables say of a method.
 
-    PSNR and deviations from their mean in dB; seconds of one core, those of a keyframe after the first frame with
-    rejected fits in its group included, None where there is none.
+    PSNR and deviations from their mean in dB, `fall`: how far any frame is below the first one of its group. Seconds
+    are those of CPU time, training and coding, those of encodes included.
     """
     frames = trained.frames
     quality = np.array([frame.psnr for frame in frames])
     away = np.abs(quality - quality.mean())
-    keyframes = [frame.seconds for frame in frames[1:] if frame.kind == "keyframe"]
+    starts = [t for t, frame in enumerate(frames) if frame.kind == "keyframe"]
+    falls = [float(quality[a] - quality[a:b].min()) for a, b in pairwise([*starts, len(frames)])]
     return {
         "scene": trained.scene, "method": trained.method, "psnr": float(quality.mean()),
-        "worst": float(quality.min()), "deviation": float(away.mean()), "most_deviation": float(away.max()),
+        "worst": float(quality.min()), "fall": max(falls), "groups": len(starts),
+        "deviation": float(away.mean()), "most_deviation": float(away.max()),
         "ssim": _mean([frame.ssim for frame in frames]), "kb_frame": mean_bytes(frames) / 1e3,
-        "mbit_s": 8e-6 * mean_bytes(frames) * rate, "gaussians": _mean([frame.gaussians for frame in frames]),
+        "gaussians": max(frame.gaussians for frame in frames),
         "train_s_frame": _mean([frame.seconds for frame in frames]),
-        "keyframe_s": _mean(keyframes) if keyframes else None,
-        "fps": trained.fps,
     }  # fmt: skip
 
 
