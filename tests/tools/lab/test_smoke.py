@@ -17,9 +17,9 @@ from tests.support.paths import FOX, FOX_VIEWS, GOLDEN, VALID
 from tests.support.scenes import write_demo
 from tests.support.training import write_blobs
 from tests.support.views import coloured_cloud, ring, views_of
-from tools.lab import main, seconds_of
+from tools.lab import Took, main, seconds_of
 from tools.lab.experiments import EXPERIMENTS, NO_LONGER_MEASURED
-from tools.lab.numerics import extremes, sequences, stiff
+from tools.lab.numerics import extremes, rows, sequences, stiff, work_precision
 from tools.lab.paper import server, training
 from tools.lab.published import read_figures
 from tools.lab.rd.coders import layout_trials
@@ -174,3 +174,15 @@ def test_the_papers_server_sends_what_its_viewer_lacks(package_of):
     sizes, late = ([option.size_bytes for option in serve.levels(past)] for past in ([0, 0], [0, -1]))
     assert sizes == sorted(sizes, reverse=True) and sizes[-1] < sizes[0] < late[0]
     assert serve.psnr([0, -1, 0], 2, 2) == serve.psnr([0, 0, 0], 2, 2)  # what was skipped comes with the next
+
+
+@pytest.mark.parametrize(("bola", "words"), [
+    ([3, 4, 3, 4, 3, 5], "1.17 dB better"), ([3, 4, 3, 4, 3, -9], "no difference found (-"),
+    ([1, 2, 1, 1, 1, 2], "1.17 dB worse (1.00 to 1.50)"), ([9, 9], "9 dB, measured once"),  # two pairs are chance
+])  # fmt: skip
+def test_advice_is_beyond_its_error_or_none(bola, words):
+    question, made = next(one for one in work_precision.QUESTIONS if one.name == "policies"), []
+    for name, took, values in (("robust-mpc", 2.0, [2, 3, 2, 3, 2, 3][: len(bola)]), ("bola", 1.0, bola)):
+        place = rows.Place("policies", "fox", "policies", name)
+        made.append(rows.Row.by(place, [Took(took, took)], rows.average(values), "dB of QoE", samples=values))
+    assert f"`bola` (policies), in 0.5 of the time: {words}" in work_precision.answer(question, made)
