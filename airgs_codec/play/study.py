@@ -232,21 +232,17 @@ def study_answer(study: Study) -> dict[str, str]:
     good = [f"{take} {shows} waits {waits:.1f} % of the time on {len(traces)} links."]
     for other in [p for p in ranked if p != take][:1]:
         found = lead(take, other)
-        span = f"{found.low:.2f} to {found.high:.2f} over traces"
-        words = (
-            f"Its QoE (quality less changes and 2 dB for a hundredth of waiting) is {found.mean:.2f} dB above that of"
-        )
-        words = words if measured else f"It waits {found.mean:.1f} % less than"
-        good.append(
-            f"{words} {other}, the next ({span})." if found.sign(traces) > 0 else f"{NOT_SEEN} to {other} ({span})."
-        )
+        words = f"Its QoE (quality less changes and 2 dB for 1 % of waiting) is {found.mean:.2f} dB above that of"
+        words = f"{words if measured else f'It waits {found.mean:.1f} % less than'} {other}, the next"
+        words = words if found.sign(traces) > 0 else f"{NOT_SEEN} to {other}"
+        good.append(f"{words} ({found.low:.2f} to {found.high:.2f} over traces).")
     change = f"Stay with {take}, the default." if take == DEFAULT_POLICY else f"Play with --policy {take}."
     if len(set(traces)) < SURE_TRACES and len(players) > 1:
         change = f"Give {SURE_TRACES} --traces or more: fewer tell nothing for sure. {change}"
     wrong = "The smallest rungs play on all links."
-    if len(hard := 100 * study.of(best, "stall_ratio", False)):
+    if len(hard := 100 * study.of(take, "stall_ratio", False)):
         wrong = (
             f"On {len(hard)} of {len(traces)} links even the smallest rungs stall, begun after {FEASIBLE_START_S:g} s, "
-            f"and {best} waits {hard.mean():.1f} % of the time: encode a lower level (airgs-encode --levels)."
+            f"and {take} waits {hard.mean():.1f} % of the time: encode a lower level (airgs-encode --levels)."
         )
     return {"good": " ".join(good), "wrong": wrong, "change": change}

@@ -46,7 +46,7 @@ NOT_PROSE = re.compile(r"```.*?```|`[^`]*`|<!--.*?-->|\]\([^)]*\)", re.DOTALL)
 # A name with a number in it, or a reference, is no figure.
 NAME = re.compile(
     r"\b(SH|SH of degree|QP|Algorithm|Python|H|PyAV|numba|torch|splat4d|fourdgs|Apache|CC-BY|format|version|arXiv"
-    r"|CVPR|SIGGRAPH Asia|MMSys|et al\.|x264|commit|Measured) [\w.+-]*\d[\w.+-]*|\w+/\w*#\d+"
+    r"|CVPR|SIGGRAPH Asia|MMSys|NSDI|et al\.|x264|commit|Measured) [\w.+-]*\d[\w.+-]*|\w+/\w*#\d+"
 )
 NUMBER = re.compile(r"(?<![\w.,^#-])\d[\d,]*(?:\.\d+)?(?:e-?\d+)?(?!\w)")
 

@@ -18,9 +18,9 @@ from tests.support.paths import FOX, FOX_VIEWS, GOLDEN, VALID
 from tests.support.scenes import write_demo
 from tests.support.training import write_blobs
 from tests.support.views import coloured_cloud, ring, views_of
-from tools.lab import main, seconds_of
+from tools.lab import Took, main, seconds_of
 from tools.lab.experiments import EXPERIMENTS, NO_LONGER_MEASURED
-from tools.lab.numerics import extremes, sequences, stiff
+from tools.lab.numerics import extremes, rows, sequences, stiff, work_precision
 from tools.lab.paper import server, training
 from tools.lab.published import read_figures
 from tools.lab.rd.coders import layout_trials
@@ -177,3 +177,15 @@ def test_the_papers_server_sends_what_its_viewer_lacks(package_of):
     sizes, late = ([option.size_bytes for option in serve.levels(past)] for past in ([0, 0], [0, -1]))
     assert sizes == sorted(sizes, reverse=True) and sizes[-1] < sizes[0] < late[0]
     assert serve.psnr([0, -1, 0], 2, 2) == serve.psnr([0, 0, 0], 2, 2)  # what was skipped comes with the next
+
+
+@pytest.mark.parametrize(("bola", "sign"), [
+    ([3, 4, 3, 4, 3, 5], 1), ([3, 4, 3, 4, 3, -9], 0), ([1, 2, 1, 1, 1, 2], -1), ([9, 9], 0),  # two pairs are chance
+])  # fmt: skip
+def test_a_difference_is_beyond_its_error_or_none(bola, sign):
+    question, made = next(one for one in work_precision.QUESTIONS if one.name == "policies"), []
+    for name, took, values in (("robust-mpc", 2.0, [2, 3, 2, 3, 2, 3][: len(bola)]), ("bola", 1.0, bola)):
+        place = rows.Place("policies", "fox", "policies", name)
+        made.append(rows.Row.by(place, [Took(took, took)], rows.average(values), "dB of QoE", samples=values))
+    found = list(work_precision.beside(question, made))[-1]
+    assert (found["setting"], found["time"], found["sign"]) == ("bola", 0.5, sign)
