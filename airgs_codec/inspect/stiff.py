@@ -35,7 +35,7 @@ def stiff_cases(package: Package) -> list[str]:
     moved = np.linalg.norm(later.means - g.means, axis=1) > size if len(later) == len(g) else np.zeros(len(g), bool)
     away = np.linalg.norm(g.means - np.median(g.means, axis=0), axis=1) > WIDE * np.median(size)
     cases = [
-        (thin, f"over {NEEDLE} times as long as thin; sizes are right to {np.expm1(bounds['log_scales']):.0%}"
+        (thin, f"over {NEEDLE} times as long as thin; sizes are right to {100 * np.expm1(bounds['log_scales']):.0f} %"
                f", axes to {bounds['quaternions']:.2g} radians"),
         (ends, f"hardly seen or almost solid; opacity is right to {bounds['opacity']:.2g}"),
         (moved, f"moving by more than their size in a frame; positions are right to {bounds['means']:.2g} "
