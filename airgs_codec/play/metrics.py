@@ -32,6 +32,7 @@ from airgs_codec.play.trace import Link
 # QoE loses this for as much waiting as play: Puffer counts 100 dB a second, in chunks of two (Yan et al., NSDI 2020),
 # Yin et al. (SIGCOMM 2015) what the best rung shows, in chunks of four: some 170 here.
 WAITING_DB = 200.0
+QOE_WORDS = f"quality - changes - {WAITING_DB / 100:g} dB for each per cent of waiting"
 NEXT = (BatchKind.GROUP, BatchKind.DELTA)  # batches of the segment that comes next
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from airgs_codec._report import BLUE, GREEN, GREY, RED, Page, PagePicture, Table, answered, cell, listed
 from airgs_codec.package.manifest import quality_of, rungs_of
 from airgs_codec.package.region import region_words
+from airgs_codec.play.metrics import QOE_WORDS
 from airgs_codec.play.player import SHORTEST_S
 from airgs_codec.play.policies import DEFAULT_POLICY
 from airgs_codec.play.session import SessionLog, session_bound
@@ -93,7 +94,7 @@ def _readable(log: SessionLog) -> dict[str, str]:
         "wire": f"{m.wire_bytes / 1e3:.1f} kB with headers{used}",
         "wasted": f"{100 * m.wasted:.1f} %: {m.replaced} replacements, {m.abandoned} abandoned",
         "ΔE on screen": cell(m.delta_e_mean, "mean {:.2f} (CIEDE2000; about 1 is just noticeable)".format),
-        "QoE": cell(m.qoe, "{:.2f} dB: quality - changes - 2 dB for a hundredth of waiting".format),
+        "QoE": cell(m.qoe, f"{{:.2f}} dB: {QOE_WORDS}".format),
         "best possible": cell(bound, "at most {:.2f} dB at the same moments, mean of segments".format),
         "regret": "-" if bound is None else f"{bound - log.mean_quality:.2f} dB less than that",
         "lost": f"{m.lost_frames} frames; {listed(log.lost)}" if log.lost else "-",

@@ -21,7 +21,7 @@ from airgs_codec._report import Form, Table
 from airgs_codec.errors import ConfigError, TransportError
 from airgs_codec.package.layout import JSON_NAME, FileKind
 from airgs_codec.package.package import open_package
-from airgs_codec.play.metrics import FIGURES
+from airgs_codec.play.metrics import FIGURES, QOE_WORDS
 from airgs_codec.play.offers import NO_KEYFRAMES, Offers
 from airgs_codec.play.player import TableStore
 from airgs_codec.play.playout import SessionSettings
@@ -232,7 +232,7 @@ def study_answer(study: Study) -> dict[str, str]:
     good = [f"{take} {shows} waits {waits:.1f} % of the time on {len(traces)} links."]
     for other in [p for p in ranked if p != take][:1]:
         found = lead(take, other)
-        words = f"Its QoE (quality less changes and 2 dB for 1 % of waiting) is {found.mean:.2f} dB above that of"
+        words = f"Its QoE ({QOE_WORDS}) is {found.mean:.2f} dB above that of"
         words = f"{words if measured else f'It waits {found.mean:.1f} % less than'} {other}, the next"
         words = words if found.sign(traces) > 0 else f"{NOT_SEEN} to {other}"
         good.append(f"{words} ({found.low:.2f} to {found.high:.2f} over traces).")

@@ -145,11 +145,12 @@ def make_app(packages: Packages, scenes: Scenes | None = None) -> Starlette:
     async def drop(request: Request) -> Response:
         """Take a file; the answer is where it will be played, or why it is refused."""
         assert scenes
+        body = request.stream()
         try:
-            name = await scenes.take(request.query_params.get("name", ""), request.stream())
+            name = await scenes.take(request.query_params.get("name", ""), body)
             return Response(status_code=202, headers={"Location": player_address(name)})
         except (ConfigError, OSError) as error:
-            async for _ in request.stream():  # browsers read no answer before they have sent all
+            async for _ in body:  # browsers read no answer before they have sent all
                 pass
             return PlainTextResponse(f"{getattr(error, 'strerror', None) or error}\n", 400)
 
@@ -187,9 +188,8 @@ def _gate(app: ASGIApp, scenes: Scenes | None) -> ASGIApp:
             await send(message)
 
         chosen = (_refusal(scope, scenes) or app) if scope["type"] == "http" else app
-        with contextlib.suppress(
-            OSError, ClientDisconnect
-        ):  # the connection is broken, or the file is gone: the answer ends
+        # Where the connection is broken, or the file is gone, the answer ends.
+        with contextlib.suppress(OSError, ClientDisconnect):
             await chosen(scope, receive, send_more)
 
     return gated

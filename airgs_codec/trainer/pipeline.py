@@ -81,11 +81,11 @@ def train_frames(run: TrainingRun, progress: Progress = silent) -> Iterator[Fram
 
 def rested(capture: Capture, progress: Progress = silent) -> Capture:
     """Return the capture with the plates of its cameras, found one after another, for the memory of pictures."""
-    progress("what rests", 0, 1)
+    progress("static parts", 0, 1)
     sources, plates = plate_sources(capture.scene) if capture.settings.finds_plates else [], []
     for done, (camera, frames) in enumerate(sources, 1):
         plates.append(find_plate(capture.pictures, camera, frames))
-        progress("what rests", done, len(sources))
+        progress("static parts", done, len(sources))
     return replace(capture, pictures=capture.pictures.with_plates(plates))
 
 
@@ -128,7 +128,7 @@ def train_in_jobs(run: TrainingRun, work: Work) -> Iterator[FrameRecord]:
         return work.results(stage, make, calls, names, JOB_VERSION) if stage else work.stored(make, names, JOB_VERSION)
 
     sources = plate_sources(scene) if settings.finds_plates else []
-    plates = done("what rests", plate_job, [(frames, (camera, frames)) for camera, frames in sources])
+    plates = done("static parts", plate_job, [(frames, (camera, frames)) for camera, frames in sources])
     spans = chunks(model.record.total, given.group_frames)
     if not model.record.frames:
         stop = spans[0][1] if scene.given else 1  # what given Gaussians share depends on their chunk

@@ -21,7 +21,7 @@ DELTAS_WORDS = "direct; mlp+residual on CUDA"
 TRAIN_PRESETS = ("default", "paper")
 ON, OFF = "on", "off"
 MATCHES = (AUTO, ON, OFF)
-UNITS = ("step", "sum", "rows", "elements")
+UNITS = ("step", "sum", "gaussians", "elements")
 DENSIFY = BUDGET, THRESHOLD = ("budget", "threshold")
 RANDOM = "random"  # a background: another colour at every step
 BACKGROUNDS: dict[str, Background] = {"black": BLACK, "white": (1.0, 1.0, 1.0)}
@@ -30,7 +30,7 @@ BACKGROUNDS: dict[str, Background] = {"black": BLACK, "white": (1.0, 1.0, 1.0)}
 @dataclass(frozen=True, slots=True)
 class Temporal:
     weight: float = setting(1e-3, "weight of changes from frame to frame; 0: none")
-    unit: str = setting("step", "mean over Gaussians in codec steps; of plain values sum or means", choices=UNITS)
+    unit: str = setting("step", "mean over Gaussians in codec steps; sum or mean of plain values", choices=UNITS)
     until: float = setting(0.65, "share of the iterations in which it acts, unless networks are fitted; then 0 stays 0")
 
 
@@ -169,7 +169,7 @@ def preset(name: str, settings: TrainSettings) -> TrainSettings:
     if name != "paper":
         return settings
     return replace(
-        settings, deltas="mlp", temporal=Temporal(weight=1e-3, unit="rows", until=1.0),
+        settings, deltas="mlp", temporal=Temporal(weight=1e-3, unit="gaussians", until=1.0),
         capacity=max(1_000_000, settings.capacity or 0), inflation=1e-5, densify=THRESHOLD, seeds=False,
         iteration_views=1, coarse=0.0, ssim_weight=0.2, regularised=False, velocity=False,
         min_psnr_db=30.0, max_drop_db=math.inf, keep_better=False, static=OFF, match_exposure=OFF,

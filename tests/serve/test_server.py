@@ -321,17 +321,12 @@ def drop(port, name, data, **headers):
 
 
 def test_a_file_that_is_dropped_becomes_a_package_whose_guesses_are_said_and_a_bad_one_a_line(tmp_path):
-    scene, home, said = (
-        write_sequence(tmp_path / "a", moving_frames(60, 1), cameras=False),
-        tmp_path / "home",
-        SimpleQueue(),
-    )
+    scene = write_sequence(tmp_path / "a", moving_frames(60, 1), cameras=False)
+    home, said = tmp_path / "home", SimpleQueue()
     home.mkdir()
     with serving(home=home, say=said.put) as port:
-        for sent, name, data in (
-            ("..%2F..%2F", "bad", b"no splats"),
-            ("C%3A%5Cx%5C", "a", next(scene.iterdir()).read_bytes()),
-        ):
+        good = next(scene.iterdir()).read_bytes()
+        for sent, name, data in (("..%2F..%2F", "bad", b"no splats"), ("C%3A%5Cx%5C", "a", good)):
             status, headers, _ = drop(port, f"{sent}{name}.ply", data)
             assert (status, headers["Location"]) == (202, f"/player.html?src={name}.airgs/")
         lines = [said.get(timeout=300)]
@@ -369,25 +364,19 @@ def test_a_server_that_takes_no_files_says_so(port, tmp_path):
 
 def test_a_disk_that_is_full_is_a_line_and_nothing_stays(tmp_path, monkeypatch):
     with serving(home=tmp_path) as port:
+        full = lambda *_: os.fdopen(os.open("/dev/full", os.O_WRONLY), "wb", 0)  # noqa: E731
         monkeypatch.setattr("airgs_codec.serve.scenes.open", full, raising=False)
-        assert drop(port, "a.ply", bytes(1 << 20))[::2] == (400, b"No space left on device\n")
+        for size in (3, 1 << 20):  # in one part, and in many
+            assert drop(port, "a.ply", bytes(size))[::2] == (400, b"No space left on device\n")
     assert not list(tmp_path.iterdir())
-
-
-def full(*_):
-    raise OSError(28, "No space left on device")
 
 
 def test_a_folder_of_frames_is_encoded_and_nothing_of_it_is_left_where_the_server_is_ended(tmp_path):
     scene, home = write_sequence(tmp_path / "moves", moving_frames(60, 2)), tmp_path / "tmp"
     home.mkdir()
     program = [sys.executable, "-uc", "from airgs_codec.cli.serve import main; raise SystemExit(main())"]
-    how = {
-        "stdout": subprocess.PIPE,
-        "stderr": subprocess.PIPE,
-        "text": True,
-        "env": os.environ | {"TMPDIR": str(home)},
-    }
+    pipes = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
+    how = pipes | {"text": True, "env": os.environ | {"TMPDIR": str(home)}}
     for number, heard in ((signal.SIGTERM, "encoded"), (signal.SIGINT, "scenes become")):
         with subprocess.Popen([*program, str(scene), "--port", "0"], **how) as child, contextlib.ExitStack() as stack:
             stack.callback(child.kill)

@@ -115,7 +115,7 @@ def test_a_keyframe_has_the_loss_of_the_paper_until_its_end(seen, monkeypatch):
 
 def test_what_the_preset_sets():
     s = preset("paper", TrainSettings(seed=4, max_size=96))
-    assert (s.deltas, s.temporal, s.min_psnr_db) == ("mlp", faces.Temporal(LAMBDA_T, "rows", 1.0), 30.0)
+    assert (s.deltas, s.temporal, s.min_psnr_db) == ("mlp", faces.Temporal(LAMBDA_T, "gaussians", 1.0), 30.0)
     assert (s.inflation, s.ssim_weight, s.max_drop_db) == (LAMBDA_INF, LAMBDA, float("inf"))
     assert not any((s.regularised, s.velocity, s.keep_better, s.seeds, s.looks_for_exposure, s.finds_plates, s.coarse))
     assert (s.densify, s.iteration_views, s.seed, s.max_size) == ("threshold", 1, 4, 96)

@@ -185,13 +185,8 @@ OPERATORS: dict[type, Callable[..., Any]] = {
     ast.NotEq: operator.ne, ast.USub: operator.neg, ast.And: np.logical_and,
 }  # fmt: skip
 FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "min": np.min,
-    "max": np.max,
-    "sum": np.sum,
-    "count": np.sum,
-    "mean": np.mean,
-    "abs": np.abs,
-}
+    "min": np.min, "max": np.max, "sum": np.sum, "count": np.sum, "mean": np.mean, "abs": np.abs,
+}  # fmt: skip
 
 
 def unchecked(text: str) -> list[str]:

@@ -244,7 +244,7 @@ def temporal_weights(temporal: Temporal, steps: Mapping[str, torch.Tensor]) -> P
     """Return the weight of |d| of every element, from the codec step of each."""
     if temporal.unit == "step":
         return {name: temporal.weight / (len(step) * step) for name, step in steps.items()}
-    over: Callable[[torch.Tensor], int] = {"sum": lambda _: 1, "rows": len, "elements": torch.numel}[temporal.unit]
+    over: Callable[[torch.Tensor], int] = {"sum": lambda _: 1, "gaussians": len, "elements": torch.numel}[temporal.unit]
     return {name: torch.full_like(step, temporal.weight / max(1, over(step))) for name, step in steps.items()}
 
 

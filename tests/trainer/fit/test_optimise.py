@@ -272,7 +272,7 @@ def test_codec_steps_are_positive_and_finite_at_extremes():
     np.testing.assert_allclose(steps["quaternions"], np.broadcast_to(half, (12, 4)), rtol=1e-5)
 
 
-@pytest.mark.parametrize(("unit", "over"), [("step", 0), ("sum", 1), ("rows", 2), ("elements", 6)])
+@pytest.mark.parametrize(("unit", "over"), [("step", 0), ("sum", 1), ("gaussians", 2), ("elements", 6)])
 def test_temporal_weights_have_the_unit_they_say(unit, over):
     steps = {"means": torch.tensor([[0.5, 0.5, 0.5], [2.0, 2.0, 2.0]])}
     found = losses.temporal_weights(faces.Temporal(0.4, unit), steps)["means"]

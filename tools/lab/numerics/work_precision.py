@@ -141,22 +141,12 @@ def beside(question: Question, rows: Sequence[Row]) -> Iterator[dict[str, Any]]:
         base = (named or [row for row in judged if row.curve == question.default[0]] or judged)[-1]
         sign = 1 if question.more else -1
         for row in judged:
-            known: dict[str, Any] = {
-                "question": question.name,
-                "scene": scene,
-                "curve": row.curve,
-                "setting": row.setting,
-            }
-            known |= {
-                "beside": base.setting,
-                "time": row.seconds / base.seconds,
-                "gain": sign * (row.error - base.error),
-            }
-            found = (
-                difference([sign * v for v in row.samples], [sign * v for v in base.samples]) if row.samples else None
-            )
-            known |= {"gain_from": found and found.low, "gain_to": found and found.high}
-            yield known | {"sign": found.sign if found else 0, "unit": question.unit}
+            known: dict[str, Any] = {"question": question.name, "scene": scene, "curve": row.curve}
+            known |= {"setting": row.setting, "beside": base.setting, "time": row.seconds / base.seconds}
+            mine, other = ([sign * value for value in one.samples] for one in (row, base))
+            found = difference(mine, other) if row.samples else None  # measured once: nobody knows
+            known |= {"gain": sign * (row.error - base.error), "gain_from": found and found.low}
+            yield known | {"gain_to": found and found.high, "sign": found and found.sign, "unit": question.unit}
 
 
 def draw(question: Question, rows: Sequence[Row], figure: Figure) -> None:
