@@ -96,11 +96,11 @@ mutants: .venv/installed
 	touch $@
 
 # Nine minutes in all: one for the tests of gsplat, eight for fits, encodes and what must be equal; the table of all is
-# build/lab/devices/devices.md. `make gpu SCENE=DIR` takes a scene of your own besides the fox.
+# build/lab/gpu/gpu.md. `make gpu SCENE=DIR` takes a scene of your own besides the fox.
 gpu: export PATH := $(CURDIR)/$(BIN):$(PATH)
 gpu: .venv/gpu
 	-timeout 60 $(BIN)/pytest -rs tests/render/test_cuda.py
-	$(BIN)/python -m tools.lab devices $(VIEWS) $(SCENE)
+	$(BIN)/python -m tools.check_gpu $(VIEWS) $(SCENE)
 
 clean:
 	rm -rf build mutants .venv web/node_modules web/out

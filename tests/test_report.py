@@ -98,9 +98,9 @@ def page(tmp_path_factory):
     return folder
 
 
-def test_the_page_names_the_worst_frame_and_shows_it_beside_the_given_one(page):
+def test_the_page_names_the_lowest_frame_and_shows_it_beside_the_given_one(page):
     text = (page / "index.html").read_text()
-    assert "Frame 2 is the worst" in text and "far below the others" in text
+    assert "The lowest picture is of frame 2" in text and "far below the others" in text
     assert re.findall(r'<img src="([^":]+)"', text) == ["frame-000002.png"]
     assert faces.read_picture(page / "frame-000002.png").shape[1] > 3 * 300  # given, encoded, difference
     assert text.count("<figure") == 2

@@ -42,7 +42,7 @@ class Compare:
     every: int = setting(1, EVERY_HELP, validator=Number(gte=1))
     rung: str | None = setting(None, "keyframe quality and level of the package, of B where both are", default="Q0+L0")
     views: Path | None = setting(None, VIEWS_HELP, default="those of A, B or a package's region, or an orbit")
-    output: Path | None = setting(None, "folder for a picture of A, B and the worst", alias="-o", metavar="DIR")
+    output: Path | None = setting(None, "folder for the lowest picture: A, B, difference", alias="-o", metavar="DIR")
     json: bool = setting(False, "the same as JSON")
     baking: BakingOptions = field(default_factory=BakingOptions)
 
@@ -61,9 +61,9 @@ def compare(options: Compare) -> int:
     written = []
     if folder:
         folder.mkdir(parents=True, exist_ok=True)
-        written.append(str(folder / "worst.png"))
-        with atomic_path(folder / "worst.png") as temporary:
-            write_png(temporary, pictures.side_by_side(a, b, result.worst))
+        written.append(str(folder / "lowest.png"))
+        with atomic_path(folder / "lowest.png") as temporary:
+            write_png(temporary, pictures.side_by_side(a, b, result.lowest))
     record, notes = pictures.comparison_json(a, b, result), pictures.left_out(a, b)
     if options.json:
         say(json.dumps(record | {"views": words, "left_out": notes, "pictures": written}))

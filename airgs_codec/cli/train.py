@@ -209,13 +209,13 @@ def summary(model: ModelFolder) -> dict[str, Any]:
     s: Given = {"model": str(model.folder), "frames": [asdict(f) for f in frames]}
     s |= {"keyframes": model.record.keyframes(), "psnr_definition": PSNR_DEFINITION}
     s["psnr"] = fmean(f.psnr for f in frames)
-    s |= {"held_out_psnr": fmean(held_out) if held_out else None, "held_out_worst": min(held_out, default=None)}
+    s |= {"held_out_psnr": fmean(held_out) if held_out else None, "held_out_lowest": min(held_out, default=None)}
     return s | {"seconds": sum(f.seconds for f in frames), "warnings": model.record.warnings()}
 
 
 def _as_words(model: ModelFolder, report: Path | None) -> str:
     s = summary(model)
-    held_out = ", held-out {held_out_psnr:.2f} (worst {held_out_worst:.2f})".format(**s) if s["held_out_psnr"] else ""
+    held_out = ", held-out {held_out_psnr:.2f} (lowest {held_out_lowest:.2f})".format(**s) if s["held_out_psnr"] else ""
     counts = f"{len(s['frames'])} frames, {len(s['keyframes'])} groups"
     page = f"\nreport: {report / 'index.html'}" if report else ""
     quality = f"{s['psnr']:.2f} dB (mean over views and frames){held_out}"

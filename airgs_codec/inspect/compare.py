@@ -1,7 +1,7 @@
 """Pictures of Gaussians compared with those of a reference: PSNR, SSIM and CIEDE2000 over views and frames.
 
 Either many streams of frames, such as the rungs of a package, against the original; or two scenes or packages, A and B,
-of which A is the reference, with the worst picture and a typical one. H x W pixels, 8-bit RGB.
+of which A is the reference, with the picture of least PSNR. H x W pixels, 8-bit RGB.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.summary import QUALITY, Columns, Row
 from airgs_codec.media.image import contact_sheet, to_bytes
-from airgs_codec.media.metrics import Difference, Picture, Quality, pool, psnr
+from airgs_codec.media.metrics import LOW, Difference, Picture, Quality, pool, psnr
 from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.manifest import quality_of
 from airgs_codec.package.package import Package, open_package
@@ -270,7 +270,7 @@ class Comparison:
     __repr__ = brief
 
     @property
-    def worst(self) -> ComparedPicture:
+    def lowest(self) -> ComparedPicture:
         return min(self.pictures, key=lambda picture: picture.psnr)
 
 
@@ -326,18 +326,18 @@ def _counted(frames: Iterator[Gaussians], rows: list[int]) -> Iterator[Gaussians
 
 
 def comparison_json(a: Side, b: Side, result: Comparison) -> dict[str, Any]:
-    worst = result.worst
+    lowest = result.lowest
     reference, compared = (
         {"name": side.name, "rung": side.rung, "frames": side.frames, "fps": side.fps and float(side.fps)}
         | {"sh_degree": side.sh_degree, "gaussians": list(rows), "bytes_per_frame": side.bytes_per_frame}
         | {"claimed": side.claimed and dataclasses.asdict(side.claimed)}
         for side, rows in zip((a, b), result.gaussians, strict=True)
     )
-    shown: Row = {"frame": worst.frame, "camera": worst.camera.name, "psnr": worst.psnr}
-    shown["position"] = worst.camera.position.tolist()
+    shown: Row = {"frame": lowest.frame, "camera": lowest.camera.name, "psnr": lowest.psnr}
+    shown["position"] = lowest.camera.position.tolist()
     record: Row = {"reference": reference, "compared": compared, "frames": list(result.frames)}
     record |= {"cameras": list(result.cameras), "blank": result.blank}
-    return record | {"quality": dataclasses.asdict(result.quality), "worst": shown}
+    return record | {"quality": dataclasses.asdict(result.quality), "lowest": shown}
 
 
 def format_two(record: Mapping[str, Any], views: str, notes: Iterable[str] = ()) -> str:
@@ -355,7 +355,8 @@ def format_two(record: Mapping[str, Any], views: str, notes: Iterable[str] = ())
             f"SSIM    {q['ssim']:.4f}",
             f"ΔE2000  {q['delta_e']:.2f}",
             f"bytes   {compared['bytes_per_frame'] / record['reference']['bytes_per_frame']:.3g} times those of A",
-            "worst   {psnr:.2f} dB, frame {frame}, camera {camera}".format(**record["worst"]),
+            f"worst   {q['low']:.2f} dB: {LOW:.0%} of the pictures have less",
+            "lowest  {psnr:.2f} dB, frame {frame}, camera {camera}".format(**record["lowest"]),
         ]
     )
 

@@ -27,7 +27,7 @@ UNSURE_DB = 0.5  # of a claim, from which more pictures should measure
 def write_report(
     folder: Path, given: GaussianSequence, package: Package, done: EncodeReport, progress: Progress = silent
 ) -> Path:
-    """Write index.html with the answer, a chart and the worst picture, and give its path.
+    """Write index.html with the answer, a chart and the lowest picture, and give its path.
 
     `given`: what was encoded, as it came. Raises ConfigError when they cannot be written.
     """
@@ -36,24 +36,24 @@ def write_report(
     small = [resized(v, min(1.0, (REPORT_PIXELS / (v.width * v.height)) ** 0.5)) for v in views[:REPORT_VIEWS]]
     result = compare_two(a, b, range(a.frames), small, progress)
     s = summarise(m, done.manifest_bytes)
-    top, quality, worst, sizes = s["rungs"][0], result.quality, result.worst, s["top_rung_bytes"]
+    top, quality, lowest, sizes = s["rungs"][0], result.quality, result.lowest, s["top_rung_bytes"]
     claim = f", and is measured at {top['psnr']:.1f} dB, good to {top['error']:.1f} dB" if m.measured else ""
     rate = f" a frame, {top['mean_bps'] / 1e6:.2f} Mbit/s" if top["mean_bps"] else ""
-    far = ", far below the others" if worst.psnr < quality.psnr - UNEVEN_DB else ""
+    far = ", far below the others" if lowest.psnr < quality.psnr - UNEVEN_DB else ""
     largest = max(sizes, key=lambda kind: sizes[kind])
     on_ladder = {f"{r['keyframe']}+{r['delta']}": r["best"] for r in s["rungs"] if m.measured}
     answer = {
         "good": f"The top rung takes {top['bytes_per_frame'] / 1e3:.1f} kB{rate}{claim}. "
         f"It shows the frames that were given at {quality.psnr:.1f} dB in {words.removesuffix(f' of {a.name}')}.",
-        "wrong": f"Frame {worst.frame} is the worst with {worst.psnr:.1f} dB in one picture{far}. Most bytes, "
+        "wrong": f"The lowest picture is of frame {lowest.frame}, with {lowest.psnr:.1f} dB{far}. Most bytes, "
         f"{100 * sizes[largest] / sum(sizes.values()):.0f} %, are {largest}.",
         "useless": beaten_words(on_ladder) or "Nothing.",
         "change": advice(done) or "Nothing.",
     }
-    chart, name = "What viewers fetch and see; grey: no player should.", f"frame-{worst.frame:06d}.png"
+    chart, name = "What viewers fetch and see; grey: no player should.", f"frame-{lowest.frame:06d}.png"
     pictures = [
         PagePicture("", chart, lambda figure: plot_rungs(s["rungs"], figure.subplots())),
-        PagePicture(name, "The worst picture.", save=lambda path: write_png(path, side_by_side(a, b, worst))),
+        PagePicture(name, "The lowest picture.", save=lambda path: write_png(path, side_by_side(a, b, lowest))),
     ]
     stages = {
         "about": ("part of the work", ""), "seconds": ("seconds", ".1f"), "chosen": ("what came of it", ""),

@@ -99,10 +99,10 @@ class Record:
         """Return how near the finished frames are to their pictures, a sentence that packages of them repeat."""
         shown, keys = [f.psnr for f in self.frames], len(self.keyframes())
         if self.scene.get("tracked"):
-            worst, views = int(np.argmin(shown)), len(self.scene["cameras"])
+            lowest, views = int(np.argmin(shown)), len(self.scene["cameras"])
             words = f"tracked: {keys} key{'s' * (keys > 1)} for {len(shown)} frames; against what was given "
             words += f"{np.mean(shown):.1f} dB in {views} views"
-            return f"{words}, {shown[worst]:.1f} at frame {worst}, the worst"
+            return f"{words}, {shown[lowest]:.1f} at frame {lowest}, the lowest"
         unseen = [(f.held_out_psnr, f.held_out_matched) for f in self.frames if f.held_out_psnr is not None]
         held_out, matched = np.mean(np.array(unseen, np.float64), axis=0) if unseen else (0.0, 0.0)
         words = f"{np.mean(shown):.1f} dB to the pictures it was trained on"

@@ -1,4 +1,4 @@
-"""The page of a training run: an answer in words, PSNR of every frame, and pictures of the worst and the first one.
+"""The page of a training run: an answer in words, PSNR of every frame, and pictures of the lowest and the first one.
 
 PSNR is the mean over views of each view's PSNR in dB, and over frames in sentences on all of them. H x W pixels.
 """
@@ -27,21 +27,21 @@ FAR_DB = 3.0  # under the mean, or under the training views, from which somethin
 
 
 def write_report(model: ModelFolder, pictures: ScenePictures, directory: Path, renderer: Renderer = CPU) -> Path:
-    """Write index.html with the answer, a chart, and pictures of the worst and the first frame; return its path.
+    """Write index.html with the answer, a chart, and pictures of the lowest and the first frame; return its path.
 
     Raises ConfigError when they cannot be written.
     """
     record, camera = model.record, ""
-    worst, first = min(record.frames, key=_shown_db).frame, record.frames[0].frame
+    lowest, first = min(record.frames, key=_shown_db).frame, record.frames[0].frame
     words = f"Each frame; red: keyframes. PSNR is the {PSNR_DEFINITION}."
     shown = [PagePicture("", words, partial(_draw, record))]
-    for frame in dict.fromkeys((worst, first)):
+    for frame in dict.fromkeys((lowest, first)):
         views = pictures.held_out(frame) or pictures.train(frame)
         seen = {view.camera.name: (view, _rendered(model, frame, view, renderer)) for view in views}
         errors = {name: float(np.mean((rgb - view.target.rgb) ** 2)) for name, (view, rgb) in seen.items()}
-        name = max(errors, key=lambda name: errors[name]) if frame == worst else views[0].camera.name
+        name = max(errors, key=lambda name: errors[name]) if frame == lowest else views[0].camera.name
         camera = camera or f"{name} in it with {psnr(errors[name]):.1f}"
-        which = "worst" if frame == worst else "first"
+        which = "lowest" if frame == lowest else "first"
         words = f"The {which} frame: filmed, trained, {ERROR_GAIN} times the error."
         shown.append(PagePicture(f"frame-{frame:06d}.png", words, save=partial(_save, frame, *seen[name])))
     sections = answered(training_answer(record, camera), shown)
@@ -65,11 +65,11 @@ def _shown_db(r: FrameRecord) -> float:
 
 
 def training_answer(record: Record, camera: str) -> dict[str, str]:
-    """Return sentences on the result of a run; `camera`: which shows least of the worst frame, and its PSNR."""
+    """Return sentences on the result of a run; `camera`: which shows least of the lowest frame, and its PSNR."""
     frames, (first, *others) = record.frames, record.frames
     held_out = [r.held_out_psnr for r in frames if r.held_out_psnr is not None]  # a camera may have no picture
     shown, third = held_out or [r.psnr for r in frames], len(held_out or frames) // 3
-    trained, mean, worst = float(np.mean([r.psnr for r in frames])), float(np.mean(shown)), min(frames, key=_shown_db)
+    trained, mean, lowest = float(np.mean([r.psnr for r in frames])), float(np.mean(shown)), min(frames, key=_shown_db)
     good = f"The cameras trained on see {trained:.1f} dB; none is held out, so what others see is not known."
     if held_out:
         good = f"Cameras that were held out see {mean:.1f} dB, those trained on {trained:.1f} dB."
@@ -79,8 +79,8 @@ def training_answer(record: Record, camera: str) -> dict[str, str]:
         good = f"{len(frames)} of {record.total} frames are trained{time}. This page fills. {good}"
     of = f" of a budget of {limit:,}" if (limit := record.settings.get("budget")) else ""
     good += f" The model has {first.gaussians:,} Gaussians{of} and took {about(sum(r.seconds for r in frames))}."
-    far = ", far below the mean" if _shown_db(worst) < mean - FAR_DB else ""
-    wrong, change = [f"Frame {worst.frame} is the worst with {_shown_db(worst):.1f} dB{far}, camera {camera}."], []
+    far = ", far below the mean" if _shown_db(lowest) < mean - FAR_DB else ""
+    wrong, change = [f"Frame {lowest.frame} is the lowest with {_shown_db(lowest):.1f} dB{far}, camera {camera}."], []
     exposure = float(np.mean([(r.held_out_matched or 0) - (r.held_out_psnr or 0) for r in frames]))
     drift = float(np.mean(shown[:third]) - np.mean(shown[-third:])) if third else 0.0
     moved = others[0].psnr - first.psnr if others and others[0].kind == "frame" else 0.0

@@ -18,7 +18,7 @@ from tests.faces import ATTRIBUTES, CPU, RasterInputs, View, from_gaussians
 from tests.support import fake_gsplat
 from tests.support.scenes import random_gaussians
 from tests.support.views import coloured_cloud, moved, ring, views_of
-from tools.lab.bench.devices import compare
+from tools.check_gpu import compare
 
 missing = cuda.missing()
 on_gsplat = pytest.mark.skipif(missing is not None, reason=f"gsplat: {missing}")

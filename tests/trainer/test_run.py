@@ -253,7 +253,7 @@ UNDONE = [frame(0, 32.0, 31.0), frame(1, 32.5, 31.0), frame(2, 32.5, 31.0)]
 @pytest.mark.parametrize(("frames", "field", "there", "absent"), [
     (STEADY, "good", "Cameras that were held out see 32.0 dB, those trained on 33.0 dB.", "This page fills"),
     (STEADY, "good", "900 Gaussians and took about 12 s", "of a budget"),
-    (STEADY, "wrong", "Frame 5 is the worst with 31.9 dB, camera cam03 in it with 27.0.", "far below"),
+    (STEADY, "wrong", "Frame 5 is the lowest with 31.9 dB, camera cam03 in it with 27.0.", "far below"),
     (STEADY, "change", "Nothing", ""),
     ([frame(t, 33.0) for t in range(3)], "good", "none is held out", "held out see"),
     ([*STEADY[:5], frame(5, 33.0, 25.0)], "wrong", "far below", ""),

@@ -84,6 +84,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     return run_program(f"lab {words[0]}", app, words)
 
 
+def run_alone(one: Experiment, argv: Sequence[str] | None = None) -> int:
+    """Run what is no experiment, but has options, a page and a folder as experiments have: `python -m MODULE`."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    return run_program(one.name, _command(one, words), words)
+
+
 def _publish(options: Published) -> int:
     """Run what documents show, and put its pages and figures into docs/results; the status is 1 where some failed."""
     failed = []
@@ -108,11 +114,12 @@ def measurement_of(name: str, words: Sequence[str]) -> Measurement:
 def _command(experiment: Experiment, words: Sequence[str]) -> Callable[..., int]:
     """What runs an experiment, prints and writes its page; the status is 1 where it found what must not be."""
     module = importlib.import_module(experiment.module)
+    program = PROGRAM if experiment in EXPERIMENTS else f"python -m {experiment.module}"
 
     def command(options: Any, output: Output) -> int:
         folder, begun = output.output or OUTPUT / experiment.name, time.perf_counter()
         measurement = measurement_of(output.publish, words) if output.publish else None
-        said = f"{PROGRAM} {measurement.words if measurement else shlex.join(words)}"
+        said = f"{program} {measurement.words if measurement else shlex.join(words)}"
 
         def write(page: Page) -> Made:
             took = time.perf_counter() - begun

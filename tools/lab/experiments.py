@@ -24,7 +24,6 @@ def _bench(name: str, question: str, takes: str) -> Experiment:
 
 EXPERIMENTS = (
     _bench("claims", "Do packages have the quality that they claim?", "10 min a scene"),
-    _bench("devices", "Does a GPU draw what the CPU does, and how fast does it fit?", "8 min, on a GPU"),
     _bench("engines", "What do spark and PlayCanvas lose of our pictures?", "2 min"),
     _bench("jobs", "What does sharing work cost and gain?", "10 min"),
     _bench("link", "How far are simulated sessions from real ones?", "20 s a trace"),
@@ -54,7 +53,6 @@ EXPERIMENTS = (
         "extremes", "What becomes of sequences at the ends of numbers?", "tools.lab.numerics.extremes", "1 minute"
     ),
     Experiment("reproduce", "How do the methods of the paper compare?", "tools.lab.paper.reproduce", "an hour"),
-    Experiment("footage", "What do cameras see of a Gaussian sequence?", "tools.lab.paper.footage", "minutes"),
 )
 
 
@@ -67,7 +65,7 @@ class Measurement:
 
 # In the folder of scenes, talk/ is that of the showcase; frames of fox_alone/ are those of naive 3DGS, 24 of fox_views/
 # with cam01, 05, 09 and 13 held out, as in its transforms.json. fox_b/ is fox/, with cam02, 06, 11 and 14 held out.
-# fox_128/ is tests/data/fox_views, head_views/ what `footage` makes of head/ from cameras around it.
+# fox_128/ is tests/data/fox_views, head_views/ what `tools.make_footage` makes of head/ from cameras around it.
 PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
 MEASUREMENTS = (
     Measurement(

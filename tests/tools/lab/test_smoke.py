@@ -18,7 +18,9 @@ from tests.support.paths import FOX, FOX_VIEWS, GOLDEN, VALID
 from tests.support.scenes import write_demo
 from tests.support.training import write_blobs
 from tests.support.views import coloured_cloud, ring, views_of
+from tools import check_gpu, make_footage
 from tools.lab import Took, main, seconds_of
+from tools.lab.command import run_alone
 from tools.lab.experiments import EXPERIMENTS, NO_LONGER_MEASURED
 from tools.lab.numerics import extremes, rows, sequences, stiff, work_precision
 from tools.lab.paper import server, training
@@ -46,14 +48,16 @@ RUNS = {  # by the names of what is published: commands, in a folder with the sc
     "upright": "upright fox/000000.ply@y@z --held 000000",
     "scale": "scale --rows 200 --frames 2 --few 100",
     "jobs": "jobs --frames 4 --rows 100",
-    "devices": "devices views/fox --sequence fox --device cpu --cameras 1",
     "link": "link package const:5 --seconds 0.2",
-    "footage": "footage fox --frames 0:1 --max-size 24 --points 50",
     "pace": "pace fox --presets fast --repeats 1",
     "pace-train": "pace views/fox --train --frames 2",
     "soak-farm": "soak-farm --groups 1 --kills 4",
 }
-UNPUBLISHED = {"devices", "footage", "pace-train"}
+UNPUBLISHED = {"pace-train"}
+ALONE = {
+    check_gpu: "views/fox --sequence fox --device cpu --cameras 1",
+    make_footage: "fox --frames 0:1 --max-size 24 --points 50",
+}
 TWINS = {"rd-spinach", "rd-talk", "tracked-fox", "splits-basketball", "splits-kinoptic"}
 TWINS |= {f"mechanisms-{name}" for name in ("basketball", "trainer", "motion", "exposure")}
 
@@ -106,7 +110,7 @@ shutil.copytree("one.airgs", "farm.airgs")
 INSTEAD = {
     "airgs_codec.trainer.pipeline": {**TRAIN, "train_chunk": train_chunk},
     **{f"tools.lab.{name}": ENCODE for name in ("baselines.airgs", "bench.claims", "bench.jobs")},
-    **{f"tools.lab.bench.{name}": {**ENCODE, "alone": alone} for name in ("devices", "scale")},
+    **{f"tools.{name}": {**ENCODE, "alone": alone} for name in ("check_gpu", "lab.bench.scale")},
     "tools.lab.bench.mechanisms": {**ENCODE, **TRAIN, "SPLITS": (1,), "FRAMES": 2},
     "tools.lab.bench.soak_farm": {**ENCODE, "PAUSE_S": 0.02, "ROWS": 9, "COMMAND": FARM},
     "tools.lab.bench.soak_farm.Cluster": {"keep": lambda _: None, "kill": lambda *_: None},
@@ -155,6 +159,13 @@ def test_it_gives_the_tables_that_are_published(name, tmp_path):
         assert {*one["columns"]} - {"note"} == found[table] - {"note"}, table
     if published and name not in ("rd-fox", "claims"):  # whose pages show some rows of other tables
         assert list(found) == list(published)
+
+
+@pytest.mark.usefixtures("scenes")
+@pytest.mark.parametrize("module", ALONE, ids=lambda module: module.TOOL.name)
+def test_tools_that_are_no_experiments_write_a_page_as_these_do(module, tmp_path):
+    assert run_alone(module.TOOL, [*shlex.split(ALONE[module]), "-o", str(tmp_path)]) == 0
+    assert f'"python -m {module.__name__} ' in (tmp_path / f"{module.TOOL.name}.json").read_text()
 
 
 def test_every_published_experiment_is_run_here():

@@ -10,11 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 
 import numpy as np
 import torch
 
+from airgs_codec.places.whole import write_json
 from airgs_codec.progress import Progress
+from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians, morton_order
 from airgs_codec.trainer.fit.losses import Parameters, from_gaussians, to_gaussians
 from airgs_codec.trainer.fit.optimise import BETAS, PerGaussian, Rates, Schedule, optimise
@@ -28,7 +31,7 @@ from airgs_codec.trainer.fit.trainer import (
 )
 from airgs_codec.trainer.settings import TrainSettings
 from tools.lab.baselines.hashgrid import FieldSettings, HashField, Places
-from tools.lab.baselines.method import Footage, Shown
+from tools.lab.baselines.method import Footage, Shown, frame_path
 from tools.lab.rd.layouts import V3_FORMS, v3_layout
 
 HELD = ("log_scales", "quaternions", "opacity_logits")  # what both losses hold
@@ -110,7 +113,7 @@ class V3Settings:
     coarse: float = 0.4  # share of a frame's iterations, the first ones, that see pictures of half the size
     temporal: float = 1e-3  # weight of the temporal loss
     entropy: float = 1e-4  # weight of the residual entropy loss
-    qp: int = 14  # of the attribute videos
+    qps: tuple[int, ...] = (14, 22, 46)  # of the attribute videos: what is shown, and what else viewers may have
     preset: str = "veryslow"  # of x264: as much effort as airgs has
     form: str = V3_FORMS[0]  # in which the videos, and the losses, have scales and opacities
     seed: int = 0
@@ -152,9 +155,19 @@ class V3:
                     group.append(fit_frame(trainer, target, group[-1], s, named))
                 else:
                     group.append(fit_keyframe(trainer, target, footage, s, named))
-            coded = v3_layout(group, s.qp, s.preset, s.form)
+            coded, *others = (v3_layout(group, qp, s.preset, s.form) for qp in s.qps)
             for i in range(max(0, done - start), len(group)):
+                for qp, other in zip(s.qps[1:], others, strict=True):
+                    place = coarser(footage.folder, qp)
+                    write_ply(frame_path(place, start + i), other.frames[i])
+                    write_json(place / f"{start + i}.json", other.frame_bytes[i])
                 yield Shown("frame" if i else "keyframe", coded.frames[i], coded.frame_bytes[i])
+
+
+def coarser(folder: Path, qp: int) -> Path:
+    """The folder, made here, of the same frames at a higher QP, each beside its bytes."""
+    (place := folder / f"qp{qp}").mkdir(exist_ok=True)
+    return place
 
 
 @dataclass(slots=True, eq=False)

@@ -40,8 +40,8 @@ BALL_FOV = 60.0  # degrees
 ENGINES = {"spark": "spark", "PlayCanvas": "playcanvas"}  # by their names
 VARIANTS = ("default", "tuned")
 COLUMNS = {
-    "scene": ("scene", ""), "engine": ("engine", ""), "tuned": ("worst of three places, dB", ".1f"),
-    "tuned_close": ("close, dB", ".1f"), "default": ("as it comes, worst of three", ".1f"),
+    "scene": ("scene", ""), "engine": ("engine", ""), "tuned": ("lowest of three places, dB", ".1f"),
+    "tuned_close": ("close, dB", ".1f"), "default": ("as it comes, lowest of three", ".1f"),
 }  # fmt: skip
 PAGE = '<!doctype html><link rel="icon" href="data:," /><body><script type="module" src="engines.js"></script>'
 
@@ -67,7 +67,7 @@ def run(options: Options, lab: Lab) -> Page:
 
 
 def measure(name: str, scene: Scene, size: int, keep: Path) -> Iterator[Row]:
-    """A row for each engine, of PSNR in dB: the worst of three places and the close one, in each variant."""
+    """A row for each engine, of PSNR in dB: the lowest of three places and the close one, in each variant."""
     cameras = [view.camera(size, scene.fov_y) for view in scene.views]
     truth = [np.round(render(scene.gaussians, c).rgb.clip(0, 1) * 255).astype(np.uint8) for c in cameras]
     with tempfile.TemporaryDirectory() as folder, served_folder(Path(folder)) as url:

@@ -53,9 +53,9 @@ def row_of(options: Options, package: Path, trace: str) -> Row:
     with airgs_serve(package) as (_, url), shaped(int(url.rpartition(":")[2]), link.trace, link.rtt_s) as port:
         real = play_really(f"http://127.0.0.1:{port}/{package.resolve().name}/", options.policy, settings)
     simulated = simulate(offers, link, options.policy, settings)
-    same, mean, worst = compare(real, simulated)
+    same, mean, most = compare(real, simulated)
     return {
-        "trace": Path(trace).name, "same": same, "of": len(simulated.fetches), "off": mean, "worst": worst,
+        "trace": Path(trace).name, "same": same, "of": len(simulated.fetches), "off": mean, "most": most,
         "psnr": real.metrics.psnr_mean, "simulated_psnr": simulated.metrics.psnr_mean,
         "stalled": real.metrics.stall_s, "simulated_stalled": simulated.metrics.stall_s,
     }  # fmt: skip
@@ -67,7 +67,7 @@ def play_really(url: str, policy: str, settings: SessionSettings) -> SessionLog:
 
 
 def compare(real: SessionLog, simulated: SessionLog) -> tuple[int, float, float]:
-    """Batches until the two asked for something different, and mean and worst relative error of their arrivals."""
+    """Batches until the two asked for something different, and mean and most relative error of their arrivals."""
     pairs = list(zip(real.fetches, simulated.fetches, strict=False))
     same = next((i for i, (a, b) in enumerate(pairs) if (a.position, a.rung) != (b.position, b.rung)), len(pairs))
     errors = [abs(a.arrival_s - b.arrival_s) / b.arrival_s for a, b in pairs[:same]]

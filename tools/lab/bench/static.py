@@ -27,8 +27,8 @@ from tools.lab import Lab, Page, Row, Section, Table, required
 ABOVE, DRAWS = 0.5, 96  # dB that packages have to be better than SPZ, and cameras
 COLUMNS = {
     "file": ("file", ""), "rows": ("Gaussians", ",d"), "spz_kb": ("SPZ, kB", ",.0f"), "spz_psnr": ("its PSNR", ".1f"),
-    "spz_worst": ("worst view", ".1f"), "airgs_kb": ("airgs, kB", ",.0f"), "airgs_psnr": ("its PSNR", ".1f"),
-    "airgs_worst": ("worst view", ".1f"), "share": ("share", ".0%"),
+    "spz_worst": ("worst 5 %", ".1f"), "airgs_kb": ("airgs, kB", ",.0f"), "airgs_psnr": ("its PSNR", ".1f"),
+    "airgs_worst": ("worst 5 %", ".1f"), "share": ("share", ".0%"),
 }  # fmt: skip
 
 
@@ -41,7 +41,7 @@ class Options:
 class Measured:
     kb: float
     psnr: float  # dB
-    worst: float  # dB, of the worst picture
+    worst: float  # dB, below which 5 % of pictures are
 
 
 def run(options: Options, lab: Lab) -> Page:
@@ -81,7 +81,7 @@ def _region(package: Path) -> Region:
 
 def _look(original: Side, other: Side, cameras: list[Camera]) -> Measured:
     result = compare_two(original, other, range(1), cameras)
-    return Measured(other.bytes_per_frame / 1e3, result.quality.psnr, result.worst.psnr)
+    return Measured(other.bytes_per_frame / 1e3, result.quality.psnr, result.quality.low)
 
 
 def _name(path: Path) -> str:

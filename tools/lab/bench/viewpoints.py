@@ -26,7 +26,7 @@ HALF = 35.0  # degrees that are as far as half the distance to what is seen
 COLUMNS = {
     "scene": ("scene", ""), "story": ("answer", ""), "sure": ("sure", ""),
     "away": ("apart, median", ".2f"), "degrees": ("degrees", ".0f"),
-    "worst_away": ("apart, worst", ".2f"), "worst_degrees": ("degrees", ".0f"),
+    "most_away": ("apart, most", ".2f"), "most_degrees": ("degrees", ".0f"),
 }  # fmt: skip
 
 
@@ -52,10 +52,10 @@ def measure(scene: str) -> Row:
 
 
 def compare(rig: Sequence[Camera], found: Sequence[Camera], sample: Sample) -> Row:
-    """Medians and worst of what lies between the cameras of a rig and the nearest found ones."""
+    """Medians and most of what lies between the cameras of a rig and the nearest found ones."""
     pairs = np.array([_nearest(camera, found, sample.look(camera)[1]) for camera in rig])
-    middle, worst = np.median(pairs, axis=0).tolist(), pairs.max(axis=0).tolist()
-    return dict(zip(("away", "degrees", "worst_away", "worst_degrees"), [*middle, *worst], strict=True))
+    middle, most = np.median(pairs, axis=0).tolist(), pairs.max(axis=0).tolist()
+    return dict(zip(("away", "degrees", "most_away", "most_degrees"), [*middle, *most], strict=True))
 
 
 def _nearest(camera: Camera, rig: Sequence[Camera], away: float) -> tuple[float, float]:

@@ -3,15 +3,17 @@
 Frame t is pushed at t / R and should be there at (t + 1) / R; the rate of that moment is known. Frames follow one
 another on the link: one that is not through when the next is due delays it. A keyframe is spread evenly over the frames
 up to the next keyframe, for every method alike: no link that carries the other frames in 1 / R seconds carries a
-keyframe in that time. AirGS has its levels to choose from and may skip a frame, the others have one size a frame. Of a
-frame that is late or skipped the one that stands is seen in its place.
+keyframe in that time. AirGS has its levels to choose from and V³ three QPs, the others have one size a frame; every
+method may skip a frame that does not fit. Of one that is late or skipped the one that stands is seen in its place.
 """
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -25,10 +27,11 @@ from airgs_codec.play.ladder import Option, build_ladder, frame_budget, saved_sh
 from airgs_codec.play.study import offsets_of
 from airgs_codec.play.trace import Link, Trace
 from airgs_codec.render.backend import CPU
+from airgs_codec.scene.formats.ply import read_ply
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.pictures import ScenePictures
 from tools.lab.baselines.airgs import delta_bytes, fetched_bytes, keyframe_bytes
-from tools.lab.baselines.method import Frame
+from tools.lab.baselines.method import Frame, frame_path
 
 SECONDS = 10.0  # that are streamed from each offset, in whole rounds of the sequence
 OURS = ("airgs", "airgs-paper")  # methods that have levels to choose from
@@ -151,7 +154,7 @@ class Stream:
         psnr: mean over the frames sent of the dB of their level; psnr_screen: mean over frames of the dB of what stood
         at their moment against the picture that is due. stale: an earlier frame stood; blank: none had come yet. late:
         not through the link when the next was due; skipped: nothing was sent; infeasible: no level fitted; outage:
-        pushed while the rate was zero. worst_ms, mean and 95 % are of the frames sent outside outages.
+        pushed while the rate was zero. most_ms, mean and 95 % are of the frames sent outside outages.
         """
         numbers, levels, shown = np.arange(len(log.levels)), log.levels.tolist(), log.shown
         sent = log.levels != SKIPPED
@@ -165,16 +168,22 @@ class Stream:
             "stale": float(((shown != NOTHING) & (shown < numbers)).mean()),
             "blank": float((shown == NOTHING).mean()), "mean_ms": float(ms.mean()) if len(ms) else np.nan,
             "p95_ms": float(np.percentile(ms, 95)) if len(ms) else np.nan,
-            "worst_ms": float(ms.max()) if len(ms) else np.nan, "link_worst_ms": float(1e3 * log.sent_s.max()),
+            "most_ms": float(ms.max()) if len(ms) else np.nan, "link_most_ms": float(1e3 * log.sent_s.max()),
             "outage": float((~np.isfinite(log.paper_s)).mean()),
             "late": float((log.waited_s + log.sent_s > 1 / log.fps + SHORTEST_S).mean()),
             "infeasible": float((~log.fits).mean()), "skipped": float((~sent).mean()),
         }  # fmt: skip
 
 
-def one_level(frames: Sequence[Frame], shown: Sequence[Gaussians], pictures: ScenePictures) -> Level:
-    sizes = spread_keyframes([f.bytes for f in frames], [f.kind == "keyframe" for f in frames])
-    return Level(sizes, np.zeros(len(sizes)), psnr_of_all(shown, pictures))
+def levels_of(place: Path, frames: Sequence[Frame], pictures: ScenePictures) -> list[Level]:
+    """What a rival may send: its frames, and of V³ those of higher QPs, too; it may change QPs at any frame."""
+    kinds, levels = [f.kind == "keyframe" for f in frames], list[Level]()
+    for one in (place, *sorted(place.glob("qp*"))):
+        shown = [read_ply(frame_path(one, n)) for n in range(len(frames))]
+        of = [json.loads((one / f"{n}.json").read_text()) if levels else f.bytes for n, f in enumerate(frames)]
+        sizes = spread_keyframes(of, kinds)
+        levels.append(Level(sizes, 1 - sizes / levels[0].sizes if levels else 0 * sizes, psnr_of_all(shown, pictures)))
+    return levels
 
 
 def spread_keyframes(sizes: Sequence[float], keyframes: Sequence[bool]) -> NDArray[np.float64]:

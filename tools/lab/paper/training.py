@@ -178,7 +178,7 @@ def row_of(trained: Trained) -> dict[str, Any]:
     falls = [float(quality[a] - quality[a:b].min()) for a, b in pairwise([*starts, len(frames)])]
     return {
         "scene": trained.scene, "method": trained.method, "psnr": float(quality.mean()),
-        "worst": float(quality.min()), "fall": max(falls), "groups": len(starts),
+        "lowest": float(quality.min()), "fall": max(falls), "groups": len(starts),
         "deviation": float(away.mean()), "most_deviation": float(away.max()),
         "ssim": _mean([frame.ssim for frame in frames]), "kb_frame": mean_bytes(frames) / 1e3,
         "gaussians": max(frame.gaussians for frame in frames),

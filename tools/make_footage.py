@@ -1,5 +1,7 @@
 """Multi-view pictures of a Gaussian sequence: a scene to train on where only a model of it may be had.
 
+    python -m tools.make_footage SEQUENCE -o FOLDER
+
 Writes transforms.json, a PNG for every frame and camera, whose splits are kept, and points3d.npy: the means of some
 opaque Gaussians of the first frame, moved by NOISE of their distance to the nearest camera, as triangulated points are
 off. What is trained on such pictures is judged against a model, not against the world.
@@ -8,6 +10,7 @@ off. What is trained on such pictures is judged against a model, not against the
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,8 +28,11 @@ from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from airgs_codec.trainer.fit.points import project
 from tools.lab import Lab, Page, Section, required, setting
+from tools.lab.command import run_alone
+from tools.lab.experiments import Experiment
 from tools.lab.made import camera_entry
 
+TOOL = Experiment("footage", "What do cameras see of a Gaussian sequence?", "tools.make_footage", "minutes")
 OPAQUE = 0.5  # opacity from which a Gaussian may lend its mean to the points
 NOISE = 2e-3
 
@@ -84,3 +90,7 @@ def some_points(shown: Gaussians, cameras: Sequence[Camera], most: int) -> NDArr
     rows = rows[np.sort(random.permutation(len(rows))[:most])]
     away = np.min([np.linalg.norm(means[rows] - camera.position, axis=1) for camera in cameras], axis=0)
     return (means[rows] + NOISE * away[:, None] * random.normal(size=(len(rows), 3))).astype(np.float32)
+
+
+if __name__ == "__main__":
+    sys.exit(run_alone(TOOL))

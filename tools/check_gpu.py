@@ -1,5 +1,7 @@
 """A GPU beside the CPU: do both draw the same, and what do fits and encodes take?
 
+    python -m tools.check_gpu SCENE …
+
 Scenes are folders of pictures, as airgs-train reads them. With the default settings of the device, in pictures of full
 size, five frames of each are fitted: a first frame, two in its group, a keyframe and one in the group of that. What was
 trained is drawn by the device and the CPU, and compared; then it is encoded. The same fits with a tenth of the
@@ -14,6 +16,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import math
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -41,6 +44,12 @@ from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.record import read_model
 from airgs_codec.trainer.settings import TrainSettings
 from tools.lab import Lab, Page, Row, Section, Table, alone, required, seconds_of, setting
+from tools.lab.command import run_alone
+from tools.lab.experiments import Experiment
+
+TOOL = Experiment(
+    "gpu", "Does a GPU draw what the CPU does, and how fast does it fit?", "tools.check_gpu", "8 min, on a GPU"
+)
 
 FRAMES, KEYFRAME = 5, 3  # of a scene that are fitted, and the first of them in a second group
 MIB = 1 << 20
@@ -261,3 +270,7 @@ def gpu_of(device: str) -> str:
     gpu, gsplat = torch.cuda.get_device_properties(0), importlib.metadata.version("gsplat")
     memory = f"{gpu.total_memory / 2**30:.0f} GiB"
     return f"{gpu.name}, {memory}, CUDA {torch.version.cuda}, torch {torch.__version__}, gsplat {gsplat}"
+
+
+if __name__ == "__main__":
+    sys.exit(run_alone(TOOL))
