@@ -21,6 +21,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
+from functools import partial
 from pathlib import Path
 from statistics import mean, median
 
@@ -272,5 +273,7 @@ def gpu_of(device: str) -> str:
     return f"{gpu.name}, {memory}, CUDA {torch.version.cuda}, torch {torch.__version__}, gsplat {gsplat}"
 
 
+main = partial(run_alone, TOOL)
+
 if __name__ == "__main__":
-    sys.exit(run_alone(TOOL))
+    sys.exit(main())

@@ -13,6 +13,7 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -92,5 +93,7 @@ def some_points(shown: Gaussians, cameras: Sequence[Camera], most: int) -> NDArr
     return (means[rows] + NOISE * away[:, None] * random.normal(size=(len(rows), 3))).astype(np.float32)
 
 
+main = partial(run_alone, TOOL)
+
 if __name__ == "__main__":
-    sys.exit(run_alone(TOOL))
+    sys.exit(main())

@@ -160,8 +160,8 @@ MEASUREMENTS = (
     Measurement("soak-farm", "time", "soak-farm --groups 60 --kills 12"),
 )  # fmt: skip
 
-# Measurements whose experiments are gone: their pages stay as published, with the commit that has the code.
-NO_LONGER_MEASURED = ("crowd", "keyframe", "soak-live", "mechanisms-cut")
+# Of mechanisms that are gone: the page says what they brought, and which commit has the code.
+NO_LONGER_MEASURED = ("mechanisms-cut",)
 
 
 @dataclass(frozen=True, slots=True)

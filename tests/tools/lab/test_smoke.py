@@ -20,7 +20,6 @@ from tests.support.training import write_blobs
 from tests.support.views import coloured_cloud, ring, views_of
 from tools import check_gpu, make_footage
 from tools.lab import Took, main, seconds_of
-from tools.lab.command import run_alone
 from tools.lab.experiments import EXPERIMENTS, NO_LONGER_MEASURED
 from tools.lab.numerics import extremes, rows, sequences, stiff, work_precision
 from tools.lab.paper import server, training
@@ -164,7 +163,7 @@ def test_it_gives_the_tables_that_are_published(name, tmp_path):
 @pytest.mark.usefixtures("scenes")
 @pytest.mark.parametrize("module", ALONE, ids=lambda module: module.TOOL.name)
 def test_tools_that_are_no_experiments_write_a_page_as_these_do(module, tmp_path):
-    assert run_alone(module.TOOL, [*shlex.split(ALONE[module]), "-o", str(tmp_path)]) == 0
+    assert module.main([*shlex.split(ALONE[module]), "-o", str(tmp_path)]) == 0
     assert f'"python -m {module.__name__} ' in (tmp_path / f"{module.TOOL.name}.json").read_text()
 
 
