@@ -160,9 +160,6 @@ MEASUREMENTS = (
     Measurement("soak-farm", "time", "soak-farm --groups 60 --kills 12"),
 )  # fmt: skip
 
-# Of mechanisms that are gone: the page says what they brought, and which commit has the code.
-NO_LONGER_MEASURED = ("mechanisms-cut",)
-
 
 @dataclass(frozen=True, slots=True)
 class Figure:

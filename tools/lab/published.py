@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.places.whole import to_json, write_bytes
-from tools.lab.experiments import MEASUREMENTS, NO_LONGER_MEASURED, Measurement
+from tools.lab.experiments import MEASUREMENTS, Measurement
 from tools.lab.page import Made, Page, Table, body_of, markdown_table, picture_link, update
 
 REPOSITORY = Path(__file__).parents[2]
@@ -69,8 +69,7 @@ def publish(measurement: Measurement, page: Page, made: Made, pictures: Path) ->
     for name in new["pictures"]:
         shutil.copyfile(pictures / f"{name}.png", RESULTS / f"{name}.png")
     entries = read_figures() | {made.name: new}
-    order = [*(one.name for one in MEASUREMENTS), *NO_LONGER_MEASURED]
-    write_figures({name: entries[name] for name in order if name in entries})
+    write_figures({one.name: entries[one.name] for one in MEASUREMENTS if one.name in entries})
 
 
 def documents() -> list[Path]:

@@ -12,7 +12,7 @@ from tests.support.paths import REPOSITORY
 from tools.check_docs import command_error
 from tools.lab import Page, PagePicture, Section, Table, published
 from tools.lab.command import PROGRAM, measurement_of
-from tools.lab.experiments import FIGURES, MEASUREMENTS, NO_LONGER_MEASURED, Measurement
+from tools.lab.experiments import FIGURES, MEASUREMENTS, Measurement
 from tools.lab.page import Made
 from tools.lab.rd.subject import RdPoint, bd_rate, kb_at
 
@@ -73,9 +73,7 @@ def test_every_measurement_has_its_place_in_a_document_and_every_entry_is_made_b
     commands = {one.name: (one.document, f"{PROGRAM} {one.words}") for one in MEASUREMENTS}
     assert len(commands) == len(MEASUREMENTS)
     assert all(name in own(published.RESULTS / f"{document}.md") for name, (document, _) in commands.items())
-    made = {name: (one["document"], one["command"]) for name, one in entries.items() if name not in NO_LONGER_MEASURED}
-    assert made.items() <= commands.items()
-    assert set(NO_LONGER_MEASURED) <= set(entries) and not set(NO_LONGER_MEASURED) & set(commands)
+    assert {name: (one["document"], one["command"]) for name, one in entries.items()} == commands
     assert all(one["seconds"] > 0 and one["date"] and one["machine"] and one["commit"] for one in entries.values())
 
 

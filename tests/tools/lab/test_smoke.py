@@ -20,7 +20,7 @@ from tests.support.training import write_blobs
 from tests.support.views import coloured_cloud, ring, views_of
 from tools import check_gpu, make_footage
 from tools.lab import Took, main, seconds_of
-from tools.lab.experiments import EXPERIMENTS, NO_LONGER_MEASURED
+from tools.lab.experiments import EXPERIMENTS
 from tools.lab.numerics import extremes, rows, sequences, stiff, work_precision
 from tools.lab.paper import server, training
 from tools.lab.published import read_figures
@@ -169,7 +169,7 @@ def test_tools_that_are_no_experiments_write_a_page_as_these_do(module, tmp_path
 
 def test_every_published_experiment_is_run_here():
     """But for what needs a browser, and for twins."""
-    assert {*RUNS, *TWINS, "engines", *NO_LONGER_MEASURED} - UNPUBLISHED == set(read_figures())
+    assert {*RUNS, *TWINS, "engines"} - UNPUBLISHED == set(read_figures())
     assert {words.split()[0] for words in RUNS.values()} | {"engines"} == {one.name for one in EXPERIMENTS}
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -158,16 +157,11 @@ class V3:
             coded, *others = (v3_layout(group, qp, s.preset, s.form) for qp in s.qps)
             for i in range(max(0, done - start), len(group)):
                 for qp, other in zip(s.qps[1:], others, strict=True):
-                    place = coarser(footage.folder, qp)
+                    place = footage.folder / f"qp{qp}"
+                    place.mkdir(exist_ok=True)
                     write_ply(frame_path(place, start + i), other.frames[i])
                     write_json(place / f"{start + i}.json", other.frame_bytes[i])
                 yield Shown("frame" if i else "keyframe", coded.frames[i], coded.frame_bytes[i])
-
-
-def coarser(folder: Path, qp: int) -> Path:
-    """The folder, made here, of the same frames at a higher QP, each beside its bytes."""
-    (place := folder / f"qp{qp}").mkdir(exist_ok=True)
-    return place
 
 
 @dataclass(slots=True, eq=False)

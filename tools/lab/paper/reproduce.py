@@ -17,7 +17,7 @@ import numpy as np
 
 from airgs_codec.package.package import open_package
 from airgs_codec.play.trace import Trace
-from tools.lab import Lab, Page, PagePicture, Row, Section, Table, listed, setting
+from tools.lab import Lab, Page, PagePicture, Row, Section, Table, setting
 from tools.lab.baselines.airgs import PACKAGE
 from tools.lab.paper import pictures
 from tools.lab.paper.server import Server
@@ -26,8 +26,6 @@ from tools.lab.paper.training import (
     ABLATIONS,
     METHODS,
     PAPER,
-    SEEDED,
-    SUMMED,
     Means,
     Subject,
     Trained,
@@ -57,13 +55,6 @@ COLUMNS = {
     "gaussians": ("Gaussians, most", "d"), "train_s_frame": ("CPU s a frame", ".1f"), "chooser": ("sent by", ""),
     "psnr_screen": ("dB on the screen", ".1f"), "mean_ms": ("ms a frame", ".0f"),
 }  # fmt: skip
-BETTER = ("v3", "3dgstream", "4dgs")  # methods that the paper means to be better than
-CLAIMS = (  # of its abstract: a figure, the methods whose least one it is compared with, at most which share of that
-    ("PSNR deviates over 20 % less", "deviation", BETTER, 0.8, "{:.2f} dB"),
-    ("every frame has more than 30 dB", "lowest", (), 30, "{:.1f} dB at least"),
-    ("training is 6 times as fast", "train_s_frame", ("4dgs",), 1 / 6, "{:.1f} s a frame"),
-    ("a frame takes nearly 50 % fewer bytes", "kb_frame", ("v3",), 0.55, "{:.1f} kB"),
-)  # of no methods: more than that
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,12 +80,9 @@ def run(options: Options, lab: Lab) -> Page:
     size = (5.2 * len(subjects), 4.2)
     picture = PagePicture("paper-quality", "PSNR of every frame", partial(pictures.draw_quality, trained), size)
     table = Table("paper-methods", list(with_streams(rows, sent)), COLUMNS)
-    sections = [Section(in_words(rows), "", [picture], [table])]
-    if {PAPER, SEEDED, *BETTER} <= set(options.methods):
-        sections.append(Section("\n".join(claims(rows)), "What of the abstract holds?"))
-    sections.append(Section(how(options, subjects, trained, len(traces)), "How it was measured"))
     published = Table("paper-published", [dict(zip(PUBLISHED, row, strict=True)) for row in TABLE])
-    return Page(sections, data=[Table("paper-streams", sent), Table("paper-levels", levels), published])
+    data = [Table("paper-streams", sent), Table("paper-levels", levels), published]
+    return Page([Section("", "", [picture], [table])], how(options, subjects, len(traces)), data=data)
 
 
 def folder(lab: Lab, subject: Subject, method: str) -> Path:
@@ -110,56 +98,17 @@ def with_streams(rows: Rows, sent: Rows) -> Iterator[Row]:
         yield row | {"chooser": chooser, "psnr_screen": shown.get("psnr_screen"), "mean_ms": shown.get("mean_ms")}
 
 
-def how(options: Options, subjects: Sequence[Subject], trained: Sequence[Trained], traces: int) -> str:
+def how(options: Options, subjects: Sequence[Subject], traces: int) -> str:
     parts = []
     for subject in subjects:
         views, scene = subject.footage(Path()).pictures.cameras(), subject.open()
         held = sum(view.held_out for view in views)
         size = f"{views[0].width} by {views[0].height}"
         parts.append(f"{subject.name}: {len(scene)} frames, {size}, {len(views) - held} cameras and {held} held out")
-    seconds = sum(frame.seconds for t in trained for frame in t.frames)
-    share = "its own iterations" if options.share == 1 else f"{options.share:.0%} of its iterations"
     return (
-        f"{'. '.join(parts).capitalize()}. Each method has {share} and at most {options.rows:,} Gaussians a frame; all "
-        f"took {seconds:,.0f} s of CPU time on a machine that did other work. Streams: {traces} LTE traces, from "
+        f"{'. '.join(parts)}. At most {options.rows:,} Gaussians a frame; streams over {traces} traces, from "
         f"{options.starts} moments of each; by the paper's choice every method skips a frame that does not fit."
     )
-
-
-def in_words(rows: Rows) -> str:
-    """What the paper's preset gives beside the sum of its temporal loss, and beside ours."""
-    by = {(row["scene"], row["method"]): row for row in rows}
-    scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    parts = ["airgs", PAPER, SUMMED]
-    if not all((s, m) in by for s in scenes for m in parts):
-        return ""
-    fall, summed = (max((by[s, m]["fall"], s) for s in scenes) for m in parts[1:])
-    ours, theirs = (
-        listed([f"of {s} {by[s, m]['psnr']:.1f} dB in {by[s, m]['kb_frame']:.1f} kB" for s in scenes])
-        for m in (parts[0], PAPER)
-    )
-    return (
-        "The paper's method keeps up with motion if its loss against motion is a mean over Gaussians: no frame falls "
-        f"more than {fall[0]:.1f} dB below the first of its group, where a sum over all values stops motion and "
-        f"{summed[1]} falls {summed[0]:.1f} dB. With as many Gaussians at most, our default gives a frame {ours}, the "
-        f"paper's method {theirs}."
-    )
-
-
-def claims(rows: Rows) -> Iterator[str]:
-    """Each claim of the paper's abstract, whether it holds here, and the figures; a line of a list each."""
-    by = {(row["scene"], row["method"]): row for row in rows}
-    scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    for claim, key, others, most, form in CLAIMS:
-        held, words = [], []
-        for scene in scenes:
-            least, name = min(((by[scene, m][key], m) for m in others), default=(None, ""))
-            values = [by[scene, m][key] for m in (PAPER, SEEDED)]
-            held += [[v > most if least is None else v <= most * least for v in values]]
-            shown = [form.format(v) for v in (*values, *([] if least is None else [least]))]
-            words.append(f"{scene} {shown[0]}, seeded {shown[1]}" + (f", {name} {shown[2]}" if name else ""))
-        verdict = "holds" if all(h for h, _ in held) else "holds partly" if any(map(any, held)) else "does not hold"
-        yield f"- {claim}: **{verdict}**. {'; '.join(words)}."
 
 
 def streams(
