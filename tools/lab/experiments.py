@@ -63,7 +63,7 @@ class Measurement:
     words: str  # of the command after `python -m tools.lab`, which runs in a folder of scenes
 
 
-# In the folder of scenes, talk/ is that of the showcase; frames of fox_alone/ are those of naive 3DGS, 24 of fox_views/
+# In the folder of scenes, talk/ is that of the showcase; frames of fox_alone/ are those of naive 3DGS, 8 of fox_views/
 # with cam01, 05, 09 and 13 held out, as in its transforms.json. fox_b/ is fox/, with cam02, 06, 11 and 14 held out.
 # fox_128/ is tests/data/fox_views, head_views/ what `tools.make_footage` makes of head/ from cameras around it.
 PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
@@ -95,13 +95,13 @@ MEASUREMENTS = (
     ),
     Measurement("static", "size", "static donut_fused.ply kacytran_iter7000.ply playbot/3_0"),
     Measurement("tracked-head", "size", "tracked head/ head_views.json --fps 30"),
-    Measurement("tracked-fox", "size", "tracked fox_alone/ fox_alone/transforms.json --fps 24 --frames 24 --as-it-is"),
+    Measurement("tracked-fox", "size", "tracked fox_alone/ fox_alone/transforms.json --fps 24 --frames 8 --as-it-is"),
     Measurement(
         "paper", "paper",
-        "reproduce --scenes fox=fox_128/ head=head_views/ --traces raca2018_4g_car/",
+        "reproduce --scenes fox=fox_128/ head=head_views/ --traces raca2018_4g_car/ --jobs 2",
     ),
     Measurement("splits-fox", "training", "splits fox_views/ --splits 2"),
-    Measurement("splits-basketball", "training", "splits basketball_views/ --splits 6 --only 4 5 --frames 0:20"),
+    Measurement("splits-basketball", "training", "splits basketball_views/ --splits 6 --only 4 5 --frames 0:10"),
     Measurement(
         "splits-kinoptic", "training",
         "splits kinoptic_views/ --splits 4 --hold 2 --only 1 2 --frames 0:10 '--train=--max-size 480'",
