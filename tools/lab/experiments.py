@@ -64,7 +64,8 @@ class Measurement:
 
 
 # In the folder of scenes, talk/ is that of the showcase; frames of fox_alone/ are those of naive 3DGS, 8 of fox_views/
-# with cam01, 05, 09 and 13 held out, as in its transforms.json. fox_b/ is fox/, with cam02, 06, 11 and 14 held out.
+# with cam01, 05, 09 and 13 held out, as in its transforms.json. fox_b.json holds out cam02, 06, 11 and 14 of fox/, and
+# fox_plain/ is fox/ without cameras.
 # fox_128/ is tests/data/fox_views, head_views/ what `tools.make_footage` makes of head/ from cameras around it.
 PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
 MEASUREMENTS = (
@@ -154,7 +155,7 @@ MEASUREMENTS = (
         "mechanisms-exposure", "mechanisms",
         "mechanisms basketball_views/:0:3 --only 'exposure of cameras' 'nothing but other random numbers'",
     ),
-    Measurement("pace", "time", "pace fox/ fox_cameras/ head/ --trees 3a92d83c now"),
+    Measurement("pace", "time", "pace fox/ fox_plain/ head/ --trees 3a92d83c now"),
     Measurement("scale", "time", "scale"),
     Measurement("jobs", "time", "jobs"),
     Measurement("soak-farm", "time", "soak-farm --groups 60 --kills 12"),
