@@ -1,8 +1,6 @@
 """The tree tells the path: folders import only from those before them, and heavy libraries stay where they belong."""
 
 import ast
-import subprocess
-import sys
 from functools import cache
 from graphlib import TopologicalSorter
 
@@ -89,18 +87,3 @@ def test_imports_go_one_way_and_nothing_private_is_imported_from_another_folder(
         deep = [name.split(".") for name in imports_of(path) if name.startswith("airgs_codec.") and name.count(".") > 2]
         private = [".".join(parts) for parts in deep if any(part.startswith("_") for part in parts[2:])]
         assert all(name.split(".")[1] == path.parent.name for name in private), f"{path}: {private}"
-
-
-WITHOUT_TORCH = """
-import importlib, sys
-names = "decoder.decode encoder.publish play.session inspect.validate cli.decode cli.encode cli.play cli.train"
-for name in names.split():
-    importlib.import_module("airgs_codec." + name)
-    sys.exit(f"{name} loads torch") if "torch" in sys.modules else None
-"""
-
-
-def test_torch_is_never_loaded():
-    """One process imports all of them and says after which of them torch was there."""
-    done = subprocess.run([sys.executable, "-c", WITHOUT_TORCH], check=False, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")

@@ -40,12 +40,6 @@ def chart(caption):
     return PagePicture("", caption, lambda figure: figure.subplots().plot([0, 1]))
 
 
-def test_a_picture_that_cannot_be_written(tmp_path):
-    for path, words in (("none/a.png", "cannot write the picture"), ("a.unknown", "expected a name that ends in")):
-        with pytest.raises(ConfigError, match=words):
-            chart("").write(tmp_path / path)
-
-
 @pytest.mark.parametrize(("low", "high"), [(1, 1000), (12, 48), (0.31, 0.9), (5, 7), (1e-6, 1e6)])
 def test_labels_of_a_log_axis_do_not_touch(low, high, tmp_path: Path):
     def draw(figure):

@@ -13,8 +13,7 @@ from functools import partial
 import pytest
 
 from tests import faces
-from tests.makers.refusals import TABLE
-from tests.support.mutations import on_disk, read_files, reindexed, set_value
+from tests.support.mutations import read_files
 from tests.support.paths import FOX, VALID
 from tests.support.scenes import moving_frames, write_sequence
 
@@ -76,16 +75,6 @@ def test_what_would_be_read_without_an_end_is_refused_before_it_is_opened(kind, 
     assert main([*words, *option]) == 2
     told = capsys.readouterr().err
     assert f"{path}: " in told and "a pipe, a device or a socket" in told and told.count("\n") == 1
-
-
-@pytest.mark.parametrize(("where", "value"), [
-    (("count",), 1 << 24), (("tiers", 0, "count"), 1 << 24), (("stop",), 10**6), (("levels", 0, "width"), 16384),
-    (("tiers", 0, "qualities", 0, "width"), 16384),
-])  # fmt: skip
-def test_absurd_counts_are_refused_with_little_memory(target, where, value):
-    bomb = on_disk(target, set_value(where, value, TABLE), reindexed)
-    with pytest.raises(faces.FormatError):
-        faces.decode(faces.open_package(bomb), 0)
 
 
 def test_a_kill_in_the_middle_leaves_the_old_package(target, tmp_path, capsys):

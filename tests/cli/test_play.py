@@ -3,7 +3,6 @@
 import json
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import urllib.request
@@ -11,7 +10,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from tests.faces import ConfigError, HttpSettings, SessionSettings, airgs_play, airgs_serve, is_built
+from tests.faces import ConfigError, HttpSettings, SessionSettings, airgs_play, is_built
 from tests.support.paths import FOX, VALID
 from tests.support.servers import plainly_serving
 
@@ -94,10 +93,3 @@ def test_a_server_may_be_there_before_its_first_package(tmp_path):
         assert "no package yet" in said.readline()
         shutil.copytree(PACKAGE, tmp_path / "later")
         assert root_at(f"{address}later/") == (PACKAGE / "airgs.json").read_bytes()
-
-
-def test_a_port_that_is_taken_is_one_line_and_2(capsys):
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        assert airgs_serve([str(PACKAGE), "--port", str(taken.getsockname()[1])]) == 2
-    line = capsys.readouterr().err
-    assert "expected an address to listen at" in line and line.count("\n") == 1

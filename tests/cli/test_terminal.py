@@ -40,6 +40,12 @@ MISTAKES = {  # words that follow those of the command, and what is said of them
         "--up y --unit nan": "metres a unit, got nan", "--up y --unit -1": "metres a unit, got -1",
         "--up y --transform nowhere.txt": "neither --up nor --unit",
         "--transform nowhere.txt": "nowhere.txt: cannot read",
+        "--jobs 0": 'Invalid value "0" for --jobs. Must be >= 1.',
+        "--executor ray --json": "--executor: expected dask or dask:ADDRESS, got 'ray'",
+        "--target-de 0 --json": "target: expected a positive ΔE, got 0",
+        "--target-de nan --json": "target: expected a positive ΔE, got nan",
+        "--target-de grey": "Invalid value for --target-de: ",
+        "--target-mbps 0.0001 --preset fast --json": "out of reach",
     },
     "encode": {
         "": "--scene requires an argument", "none.splatv": "none.splatv", "FOX -o x.airgs": "fox",
@@ -76,6 +82,7 @@ MISTAKES = {  # words that follow those of the command, and what is said of them
         "compare FOX FOX -o file/below": "expected a folder",
         "compare FRAMES TWO -o out": "expected 24 frames a second", "compare FRAMES ftp://somewhere/else -o out": "ftp",
         "compare scene scene -o out --rung Q0+L0": "expected a package for the rung Q0+L0",
+        "compare CUT CUT -o out": "000001.ply: expected 20",
         "rungs TWO scene": "scene: expected 5 frames, got 1", "rungs scene scene": "scene",
     },
     "play FOX --trace": {
@@ -84,6 +91,11 @@ MISTAKES = {  # words that follow those of the command, and what is said of them
         "const:5 --video film.avi": "film.avi: expected a name that ends in .mp4",
         "none --video /proc/nowhere/x.mp4": "expected a folder that can be written",
         "const:5 --player.buffer 1e-320": "buffer: expected 0.001 s or more", "const:5 --scale 1e308": "scale",
+    },
+    "play FOX --compare": {
+        "": "--traces", "--traces none.csv": "none.csv", "--traces folder.spz": "empty",
+        "--traces const:1 --policies best": "policy: expected", "--traces const:1 --offsets 0": "offset",
+        "--traces const:1 --policies paper,paper": "policies",
     },
     "play TWO --trace TRACE --policy fixed:0": {
         "--rtt -1": "round trip", "--rtt nan": "round trip", "--player.loops 0": "loops",
@@ -103,7 +115,7 @@ MISTAKES = {  # words that follow those of the command, and what is said of them
     },
     "play": {
         "none.airgs --trace const:5": "none.airgs", "FOX": "airgs-serve /", "folder.spz --trace TRACE": "folder.spz",
-        "TWO --trace zero.csv": "zero.csv",
+        "TWO --trace zero.csv": "zero.csv", "FOX --trace second.csv --end error --player.loops 30": "ends after",
     },
     "serve TWO": {
         "TWO": "expected", "--port 65536": "expected", "--host no.such.host.invalid": "expected",
@@ -119,6 +131,9 @@ MISTAKES = {  # words that follow those of the command, and what is said of them
         "--foreground all": '"off", "given"',
         "--seed 1 --seed 2": "airgs-train: Parameter --seed specified multiple times.\n",
         "--report /proc/nowhere/x": "expected a folder that can be written",
+        **{f"{words} 2 --device cpu": f"{words}: expected --group-frames" for words in ("--jobs", "--work")},
+        "--executor dask --device cpu": "--executor: expected --group-frames",
+        "--group-frames 0 --device cpu": "expected group_frames of at least 1",
     },
     "train": {
         "none -o model": "none", "none -o model.ply": "expected a folder or a name that ends in .gaussians",
@@ -127,6 +142,10 @@ MISTAKES = {  # words that follow those of the command, and what is said of them
     },
 }  # fmt: skip
 MISTAKES["encode none"] |= {f"--fps {rate}": "--fps" for rate in ("0", "-1", "inf", "5e-324", "1e-9", "1e308")}
+MISTAKES["encode scene"] |= {
+    f"--target-de 1 {other} 40": "expected one of --quality, --target-psnr, --target-de"
+    for other in ("--target-psnr", "--target-mbps")
+}
 MISTAKES["encode none"] |= {f"--group-frames {'9' * 25}": "group_frames: expected a whole number"}
 MISTAKES["encode none"] |= {f"--quality {x}": "step factors" for x in ("0", "1e-320", "1e308", "inf", "nan")}
 MISTAKES["encode none"] |= {
@@ -159,7 +178,7 @@ def test_help_lists_few_options_and_the_rest_is_listed_by_name(name, capsys):
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     write_sequence(tmp_path / "scene", moving_frames(20, 1))
-    for name, text in (("file", "mine"), ("empty.json", "{}"), ("zero.csv", "0,0\n1,0\n")):
+    for name, text in (("file", "mine"), ("empty.json", "{}"), ("zero.csv", "0,0\n1,0\n"), ("second.csv", "0,1")):
         (tmp_path / name).write_text(text)
     (tmp_path / "folder.spz").mkdir()
     monkeypatch.chdir(tmp_path)

@@ -175,14 +175,6 @@ def test_awkward_counts_share_their_representations(package_of):
         assert all(np.isfinite(getattr(g, name)).all() for g in shown for name in g.__slots__)
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"start": 0, "stop": 99}, {"start": -1}, {"level": 9}, {"keyframe_quality": 7}], ids=str
-)
-def test_what_is_not_there_is_refused(fox, wrong):
-    with pytest.raises(ConfigError):
-        list(decode_frames(fox, **({"start": 0, "stop": 1} | wrong)))
-
-
 def bare(*levels, **more):
     return {"calibrate": "none", "levels": tuple(LevelSettings(*level) for level in levels), **more}
 

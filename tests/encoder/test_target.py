@@ -89,20 +89,6 @@ def test_a_colour_target_holds_for_views_that_no_trial_saw(first_frames, tmp_pat
     assert np.mean(errors) == pytest.approx(0.6, rel=0.1)
 
 
-@pytest.mark.parametrize(("options", "words"), [
-    ("--target-de 0", "target: expected a positive ΔE, got 0"),
-    ("--target-de nan", "target: expected a positive ΔE, got nan"),
-    ("--target-de grey", "Invalid value for --target-de: "),
-    ("--target-de 1 --target-psnr 40", "expected one of --quality, --target-psnr, --target-de"),
-    ("--target-de 1 --target-mbps 40", "expected one of --quality, --target-psnr, --target-de"),
-    ("--target-mbps 0.0001 --preset fast", "out of reach"),
-])  # fmt: skip
-def test_a_target_that_cannot_be_is_one_line_and_leaves_nothing(scene, tmp_path, capsys, options, words):
-    code, error = run(scene.folder, tmp_path / "out", capsys, options)
-    assert code == 2 and error.count("\n") == 1 and words in error
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     return open_sequence(write_sequence(tmp_path_factory.mktemp("limits") / "scene", moving_frames(200, 4)))

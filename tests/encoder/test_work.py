@@ -113,15 +113,6 @@ def test_one_frame_that_changes_is_the_only_run_that_is_made_again(tmp_path, don
         faces.write_ply(sorted(folder.glob("*.ply"))[6], frames[2])
 
 
-@pytest.mark.parametrize(("words", "expected"), [
-    ("--jobs 0", 'Invalid value "0" for --jobs. Must be >= 1.'),
-    ("--executor ray", "--executor: expected dask or dask:ADDRESS, got 'ray'"),
-])  # fmt: skip
-def test_options_that_cannot_work_are_one_line(scene, tmp_path, capsys, words, expected):
-    assert airgs_encode([str(scene), "-o", str(tmp_path / "out"), *words.split()]) == 2
-    assert expected in capsys.readouterr().err and not (tmp_path / "out").exists()
-
-
 def test_frames_are_read_once_where_memory_holds_all_and_else_four_times(tmp_path, monkeypatch):
     """To be put in order, surveyed, encoded and measured; the first and the middle one are looked at before.
 

@@ -165,7 +165,8 @@ HIGH = [{"frames": [5], "segments": [2], "bytes": [9], "sha256": "A" * 32}] * 6
     (TABLE, {"base": 1}, "centres"),  # its pictures are no differences
     (TABLE, {"segments.0.stop": 0}, "segments[0]: expected a start at 0, got [0, 0)"),
     (TABLE, {"segments": []}, ""),
-    (TABLE, {"stop": 4}, ""),
+    *((TABLE, {"stop": stop}, "") for stop in (4, 10**6)),
+    *((TABLE, {place: 1 << 24}, "") for place in ("count", "tiers.0.count")),
     (TABLE, {"levels.0.width": 8}, "width"),
     *((TABLE, {"levels.0.height": height}, "height") for height in (0, 72)),
     (TABLE, {"levels.0.plane_width": 4096}, "width"),

@@ -167,24 +167,6 @@ def test_a_study_compares_on_the_same_links_and_repeats_exactly(demo_package, ca
     assert all(r["figures"]["regret"][0] >= -1e-6 for r in record["all"])
 
 
-@pytest.mark.parametrize(("options", "words"), [
-    ([], "--trace"), (["--compare"], "--traces"),
-    (["--compare", "--traces", "none.csv"], "none.csv"), (["--compare", "--traces", "."], "empty"),
-    (["--compare", "--traces", "const:1", "--policies", "best"], "policy: expected"),
-    (["--compare", "--traces", "const:1", "--policies", "paper,paper"], "policies"),
-    (["--compare", "--traces", "const:1", "--offsets", "0"], "offset"),
-    (["--trace", "const:1", "--player.decode-frame", "fast"], "--player.decode-frame"),
-    (["--trace", "../second.csv", "--end", "error", "--player.loops", "30"], "ends after"),
-])  # fmt: skip
-def test_studies_that_cannot_be(demo_package, options, words, capsys, tmp_path, monkeypatch):
-    (tmp_path / "second.csv").write_text("0,1")
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-    assert airgs_play([str(demo_package), *options]) == 2
-    error = capsys.readouterr().err
-    assert words in error and error.count("\n") == 1
-
-
 def test_damaged_packages_play_on(demo_copy, tmp_path, capsys):
     package, film = faces.open_package(demo_copy), tmp_path / "film.mp4"
     assert faces.find_faults(package) == {}
