@@ -38,13 +38,12 @@ from airgs_codec.analysis.region import region_around
 from airgs_codec.encoder.settings import INTER, INTRA, EncodeSettings, LevelSettings, as_in_paper, as_fast
 from airgs_codec.encoder.survey import Frames, Survey
 from airgs_codec.encoder.layout import GroupLayout, lay_out
-from airgs_codec.encoder.views import SceneViews, choose_views
+from airgs_codec.encoder.views import choose_views
 from airgs_codec.encoder.target import DELTA_E, Goal, PSNR, SIZE
 from airgs_codec.encoder.decide import decide
 from airgs_codec.encoder.plan import Choice, Plan
 from airgs_codec.encoder.group import encode_group
 from airgs_codec.encoder.live import follow
-from airgs_codec.encoder.order import order_rows
 from airgs_codec.encoder.publish import EncodeReport, encode
 from airgs_codec.coding.atlas import from_codes, to_codes
 from airgs_codec.coding.channels import pack_matrix, unpack_matrix

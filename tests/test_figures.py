@@ -1,4 +1,4 @@
-"""Callers take figures and events of sessions as plain values, make traces, and compare, read and write frames."""
+"""Callers take figures and events of sessions as plain values, make traces, and compare, draw and write frames."""
 
 import json
 
@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import airgs_codec as airgs
+from tests.faces import read_picture, to_bytes
 from tests.support.paths import FOX, GOLDEN
+from tests.support.regions import is_inside
 
 PACKAGE = GOLDEN / "fox"
 
@@ -57,7 +59,17 @@ def test_a_frame_is_written_and_read_in_formats_by_their_names(tmp_path):
     assert len(airgs.read(tmp_path / "frame.splat")) == len(frame)
 
 
+def test_a_frame_is_a_png_in_four_lines_and_cameras_are_inside_the_region(tmp_path):
+    package = airgs.open_package(PACKAGE)
+    picture = airgs.draw(airgs.decode(package, 0), package.cameras[0])
+    picture.save(tmp_path / "frame.png")
+    assert (read_picture(tmp_path / "frame.png") == to_bytes(picture.rgb)).all() and picture.rgb.std() > 0.05
+    region = package.manifest.region
+    assert len(package.cameras) == len(region.places) and all(is_inside(region, view) for view in package.cameras)
+
+
 NO_TRACES = (([], []), ([0, 1], [5]), ([[0]], [[5]]), ([1, 0], [5, 5]), ([0], [-1]), (["a"], [1]), (0, 5))
+FRAME, CAMERA = airgs.read(FOX / "000000.ply"), airgs.Camera.look_at((0, 0, -3), (0, 0, 0), size=(16, 16))
 BOTH = "expected an open sequence or package, or the path of one"
 
 
@@ -70,8 +82,13 @@ BOTH = "expected an open sequence or package, or the path of one"
     (airgs.read, (FOX,), {}, "expected one frame, got"),
     (airgs.read, (3,), {}, "path: expected a path or an address, got int 3"),
     (airgs.write, (FOX, "x.ply"), {}, "gaussians: expected Gaussians or a mapping of their arrays, got"),
-    (airgs.write, (airgs.read(FOX / "000000.ply"), None), {}, "path: expected a path or an address, got None"),
+    (airgs.write, (FRAME, None), {}, "path: expected a path or an address, got None"),
+    (airgs.draw, (FRAME, "front"), {}, "camera: expected a Camera, got str 'front'"),
+    (airgs.draw, (FOX, CAMERA), {}, "gaussians: expected Gaussians or a mapping"),
+    *((airgs.draw(FRAME, CAMERA).save, (name,), {}, name) for name in ("frame.jpg", "none/frame.png")),
 ])  # fmt: skip
-def test_what_is_no_trace_no_frame_or_cannot_be_compared_is_refused(call, arguments, settings, line):
+def test_what_cannot_be_is_refused_and_writes_nothing(call, arguments, settings, line, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(airgs.AirgsError, match=line):
         call(*arguments, **settings)
+    assert list(tmp_path.iterdir()) == []

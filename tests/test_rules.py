@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from airgs_codec._sampling import evenly_spaced, middle_frames
 from airgs_codec.coding.channels import hold_undrawn
 from airgs_codec.encoder import layout, omit
-from airgs_codec.media.mp4 import sound_init
 from airgs_codec.trainer.fit.losses import codec_steps
 from tests import faces
 from tests.support.manifests import link, rules, tiny_manifest
@@ -61,12 +60,6 @@ def test_factors_of_tiers_are_at_most_three_apart_and_steps_of_opacity_finite_wh
     g = replace(random_gaussians(2), opacity_logits=np.array([20, 0], np.float32))
     saturated, half = codec_steps(g, ring(2))["opacity_logits"].tolist()
     assert saturated / half == pytest.approx(0.25 / 0.02)
-
-
-def test_sound_begins_four_packets_before_it_is_heard():
-    box = sound_init(2, 312)
-    at = box.index(b"roll")
-    assert int.from_bytes(box[at + 12 : at + 14], "big", signed=True) == -4
 
 
 def test_frames_cannot_be_written_to_and_few_groups_stay_decoded(monkeypatch):

@@ -1,6 +1,7 @@
 """Cameras of every form: one rig is the same from each, what is no cameras is refused, what lies beside is found."""
 
 import json
+import struct
 from dataclasses import replace
 
 import cv2
@@ -123,6 +124,12 @@ REFUSED = [
     (llff(b"(3, 17), }" + b" " * 12, b"(3" + b"0" * 12 + b", 17), }"),
      r"poses_bounds\.npy: expected rows of 17 numbers: Unable to allocate"),
     (panoptic_without_pictures, "a frame has no pictures"),
+    *((lambda folder, data=data: saved(folder / "cameras.json", data), "expected cameras")  # at the cost of its bytes
+      for data in (b"[" * 500_000, b"[" + b"1" * 500_000 + b"]")),
+    (lambda folder: saved(folder / "a.splatv", struct.pack("<II", 0x674B, 500_000) + b"[" * 500_000),
+     "expected a .splatv header"),
+    (lambda folder: [saved(folder / f"{name}.bin", b"\xff" * 8) for name in ("cameras", "images")][1],
+     "cameras.bin: expected a COLMAP reconstruction"),  # of 2^64 - 1 cameras
     (lambda folder: saved(folder / "a.splatv", splatv_bytes(random_rows(1), cameras=NO_SCENE)),
      "the one that splaTV writes into every file"),
     *((colmap_model(line), rf"txt: expected a COLMAP reconstruction: .*{says}") for line, says in (

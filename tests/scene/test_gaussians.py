@@ -56,13 +56,6 @@ def test_rotation_vectors_at_the_extremes_and_matrices_of_scipy():
     np.testing.assert_allclose(faces.to_matrices(q), Rotation.from_quat(q, scalar_first=True).as_matrix(), atol=1e-12)
 
 
-@given(npst.arrays(np.int64, st.tuples(st.integers(1, 50), st.just(3)), elements=st.integers(0, 2**21 - 1)))
-def test_morton_codes_interleave_bits_x_first_and_invert(index):
-    np.testing.assert_array_equal(faces.morton_decode(faces.morton_encode(index)), index)
-    pinned = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 0, 0], [3, 3, 3]])
-    assert faces.morton_encode(pinned).tolist() == [1, 2, 4, 8, 63]
-
-
 def test_repairs_are_made_in_every_frame_and_named():
     a, b = (replace(g, **{name: getattr(g, name).copy() for name in g.__slots__}) for g in moving_frames(6, 2))
     b.means[4, 1], a.quaternions[2], a.opacity_logits[0], a.opacity_logits[1] = np.nan, 0, np.inf, -np.inf

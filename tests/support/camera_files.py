@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tests.faces import Camera
-from tests.support.multiview_files import matrix_of
+from tests.faces import Camera, write_png
+from tests.support.multiview_files import matrix_of, plain
 
 PLACEHOLDER = [-3.0089893469241797, -0.11086489695181866, -3.7527640949141428]  # of the camera in every .splatv
 Rig = Sequence[Camera]
@@ -116,6 +116,18 @@ def write_panoptic_meta(folder: Path, rig: Rig) -> Path:
         if chosen:
             saved(folder / f"{split}_meta.json", size | {key: [row, row] for key, row in moment.items()})
     return folder / "train_meta.json"
+
+
+def write_panoptic(folder: Path, rig: Rig) -> Path:
+    """A scene of two frames as CMU Panoptic has it; the left half of each mask is 0."""
+    names = [[f"{i}/{t:06d}.png" for i in range(len(rig))] for t in range(2)]
+    picture, path = plain(200, (48, 48)), write_panoptic_meta(folder, rig)
+    saved(path, json.loads(path.read_text()) | {"fn": names})
+    for place, seen in (("ims", 1), ("seg", np.arange(48)[:, None] >= 24)):
+        for name in names[0] + names[1]:
+            (folder / place / name).parent.mkdir(parents=True, exist_ok=True)
+            write_png(folder / place / name, (picture * seen).astype(np.uint8))
+    return folder
 
 
 def write_llff(folder: Path, rig: Rig) -> Path:

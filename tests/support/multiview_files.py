@@ -74,20 +74,3 @@ def write_filmed(folder: Path, camera: Camera, films: dict[str, tuple[list[np.nd
 def same_camera(a: Camera, b: Camera) -> bool:
     one, other = ([c.fx, c.fy, c.cx, c.cy] for c in (a, b))
     return np.allclose(a.world_to_camera, b.world_to_camera, atol=1e-5) and np.allclose(one, other, atol=1e-4)
-
-
-def write_panoptic(folder: Path, cameras: list[Camera]) -> Path:
-    """A scene of two frames as CMU Panoptic has it; the left half of each mask is 0."""
-    names = [[f"{i}/{t:06d}.png" for i in range(len(cameras))] for t in range(2)]
-    moment = {
-        "k": [[[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1]] for c in cameras],
-        "w2c": [c.world_to_camera.tolist() for c in cameras], "cam_id": [*range(len(cameras))],
-    }  # fmt: skip
-    picture = plain(200, (48, 48))
-    for place, seen in (("ims", 1), ("seg", np.arange(48)[:, None] >= 24)):
-        for name in names[0] + names[1]:
-            (folder / place / name).parent.mkdir(parents=True, exist_ok=True)
-            write_png(folder / place / name, (picture * seen).astype(np.uint8))
-    meta = {"w": 48, "h": 48, "fn": names, **{key: [row, row] for key, row in moment.items()}}
-    (folder / "train_meta.json").write_text(json.dumps(meta))
-    return folder

@@ -14,7 +14,8 @@ from airgs_codec.trainer.data.pictures import plate_of, settle, stands_still
 from airgs_codec.trainer.fit.losses import moments
 from tests import faces
 from tests.faces import PICTURE_BYTES, TARGET_BYTES, Capture, Pictures, Target, TrainSettings, open_scene, rested
-from tests.support.multiview_files import write_panoptic, write_views
+from tests.support.camera_files import write_panoptic
+from tests.support.multiview_files import write_views
 from tests.support.paths import FOX_VIEWS
 from tests.support.views import coloured_cloud, ring
 
