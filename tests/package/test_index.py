@@ -10,11 +10,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests import faces
-from tests.faces import FormatError, GroupIndex, Groups, build_index, decode, digest, pack_json, root_of
+from tests.faces import FormatError, GroupIndex, Groups, build_index, digest, pack_json, root_of
 from tests.makers.vectors.packages import pages_to
 from tests.support.manifests import no_page, tiny_manifest
-from tests.support.mutations import read_files, write_files
-from tests.support.paths import VALID
 from tests.support.regions import arc
 
 PAGE = 64
@@ -179,18 +177,6 @@ def test_pages_are_checked_against_the_level_above(long, level, number):
         with pytest.raises(FormatError) as caught:
             check(**changes)
         assert caught.value.reason == "bad_value" and caught.value.where == path and words in caught.value.detail
-
-
-def test_a_frame_is_decoded_from_its_own_tables(tmp_path):
-    """Nothing but the root, one page, the table of the group and the files of the group is read."""
-    kept = {"airgs.json", "manifest.mpd", "index/1/1.json", "group/7.json.gz"}
-    files = read_files(VALID / "paged").items()
-    own = {name: data for name, data in files if name in kept or name.endswith(("/7.bin", "/7.m4s"))}
-    whole, part = faces.open_package(VALID / "paged"), faces.open_package(write_files(tmp_path, own))
-    assert (decode(part, 6).means == decode(whole, 6).means).all()
-    with pytest.raises(FormatError) as caught:
-        decode(part, 7)
-    assert (caught.value.reason, caught.value.where) == ("missing_file", "group/8.json.gz")
 
 
 def test_tables_that_were_used_long_ago_are_read_again(monkeypatch):

@@ -16,17 +16,6 @@ from tests.support.scenes import moving_frames, random_gaussians
 unit = npst.arrays(np.float64, (20, 4), elements=st.floats(-1, 1)).filter(lambda q: (q * q).sum(1).min() > 1e-6)
 
 
-def test_rows_come_from_one_or_the_other_in_all_columns():
-    a, b = (random_gaussians(6, 1, seed) for seed in (1, 2))
-    choose = np.array([True, False, False, True, True, False])
-    mixed = faces.mix_rows(a, b, choose)
-    for name in a.__slots__:
-        column = getattr(mixed, name)
-        assert column.dtype == np.float32
-        np.testing.assert_array_equal(column[choose], getattr(a, name)[choose])
-        np.testing.assert_array_equal(column[~choose], getattr(b, name)[~choose])
-
-
 def test_columns_of_columns_and_lists_of_them_are_taken_and_joined_and_what_is_shared_stays():
     @dataclass(frozen=True, slots=True, eq=False)
     class Several(Columns):
@@ -57,12 +46,13 @@ def test_rotation_vectors_at_the_extremes_and_matrices_of_scipy():
 
 
 def test_repairs_are_made_in_every_frame_and_named():
-    a, b = (replace(g, **{name: getattr(g, name).copy() for name in g.__slots__}) for g in moving_frames(6, 2))
-    b.means[4, 1], a.quaternions[2], a.opacity_logits[0], a.opacity_logits[1] = np.nan, 0, np.inf, -np.inf
+    a, b = (replace(g, **{name: getattr(g, name).copy() for name in g.__slots__}) for g in moving_frames(6, 2, 1))
+    b.sh_rest[4], b.means[4, 1], a.quaternions[2], a.opacity_logits[:2] = 9, np.nan, 0, (np.inf, -np.inf)
     done = faces.repair([a, b], "scene")
     assert [len(f) for f in done.frames] == [6, 6]
     assert [f.opacity_logits[4] for f in done.frames] == [a.opacity_logits[4], -20]
-    np.testing.assert_array_equal(done.frames[1].means[4], a.means[4])
+    for name in ("means", "sh_rest"):  # of the frame in which they are
+        np.testing.assert_array_equal(getattr(done.frames[1], name)[4], getattr(a, name)[4])
     assert done.frames[0].quaternions[2].tolist() == [1, 0, 0, 0]
     assert done.frames[0].opacity_logits[:2].tolist() == [20, -20]
     np.testing.assert_allclose(np.linalg.norm(done.frames[1].quaternions, axis=1), 1, atol=1e-6)
