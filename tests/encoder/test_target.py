@@ -61,27 +61,26 @@ def first_frames(tmp_path_factory):
 
 def run(scene, out, capsys, words):
     quick = "--x264-preset veryfast --decide-pictures 12 --json"
-    code = faces.airgs_encode(f"{scene} -o {out} {quick} {words}".split())
-    captured = capsys.readouterr()
-    return code, json.loads(captured.out) if code == 0 else captured.err
+    assert faces.airgs_encode(f"{scene} -o {out} {quick} {words}".split()) == 0
+    return json.loads(capsys.readouterr().out)
 
 
 def test_targets_are_reached(first_frames, tmp_path, capsys):
     out = tmp_path / "out"
-    code, report = run(first_frames, out, capsys, "--target-psnr 41 --measure-pictures 16")
-    assert code == 0 and faces.validate(out) == []
+    report = run(first_frames, out, capsys, "--target-psnr 41 --measure-pictures 16")
+    assert faces.validate(out) == []
     m = open_package(out).manifest
     assert quality_of(m, 0, 0).psnr == pytest.approx(41, abs=0.3)
     wanted = 0.8 * report["top_rung_bytes"] / m.frames / 1e3
-    code, report = run(first_frames, out, capsys, f"--target-mbps {wanted * 8e-3 * m.fps} --measure-pictures 4")
-    assert code == 0 and report["top_rung_bytes"] / m.frames / 1e3 == pytest.approx(wanted, rel=0.03)
+    report = run(first_frames, out, capsys, f"--target-mbps {wanted * 8e-3 * m.fps} --measure-pictures 4")
+    assert report["top_rung_bytes"] / m.frames / 1e3 == pytest.approx(wanted, rel=0.03)
 
 
 def test_a_colour_target_holds_for_views_that_no_trial_saw(first_frames, tmp_path, capsys):
-    code, _ = run(first_frames, tmp_path / "out", capsys, "--target-de 0.6 --measure-pictures 32")
+    run(first_frames, tmp_path / "out", capsys, "--target-de 0.6 --measure-pictures 32")
     package, sequence = open_package(tmp_path / "out"), open_sequence(first_frames)
     m = package.manifest
-    assert code == 0 and quality_of(m, 0, 0).delta_e == pytest.approx(0.6, rel=0.05)
+    assert quality_of(m, 0, 0).delta_e == pytest.approx(0.6, rel=0.05)
     errors = []
     for number, camera in enumerate(faces.draw_views(m.region, 12, seed=9)):
         frames = (sequence.read(number % m.frames), faces.decode(package, number % m.frames))

@@ -145,12 +145,6 @@ def test_any_policy_answers_with_an_option(rates, buffer_s, held, name, position
     assert choose(name, s, link([5e4])) == decision
 
 
-@pytest.mark.parametrize("text", ["", "paper:1", "best", "fixed", *map("fixed:{}".format, ("", 3, -1, 1.5, "Q2+L0"))])
-def test_unknown_policies(text):
-    with pytest.raises(ConfigError, match="expected paper"):
-        make_policy(text, OFFERS, link([1e6]))
-
-
 def test_an_oracle_needs_a_trace_and_what_policies_may_do_is_theirs():
     with pytest.raises(ConfigError, match="real connection"):
         make_policy("oracle-frame", OFFERS)
