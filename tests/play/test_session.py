@@ -43,7 +43,8 @@ def by_turns(*rungs):
 def facts(log):
     """What happened batch by batch and segment by segment, and the figures, by names that expectations use."""
     batches = {"sizes": "bytes", "requests": "request_s", "arrivals": "arrival_s", "files": "files", "waste": "wasted"}
-    told = {name: [getattr(fetch, of) for fetch in log.fetches] for name, of in (batches | {"kinds": "kind"}).items()}
+    batches |= {"kinds": "kind", "whys": "reason"}
+    told = {name: [getattr(fetch, of) for fetch in log.fetches] for name, of in batches.items()}
     segments = {"starts": "start_s", "waits": "stall_s", "ready": "ready_s", "psnr": "psnr"}
     told |= {name: [getattr(shown, of) for shown in log.shown] for name, of in segments.items()}
     told |= {"ticks": [10 * segment + frame for segment, frame in log.screen_ticks]}  # where segments have ten frames
@@ -159,7 +160,10 @@ HAND = {  # name -> package, link, policy or rungs by turns, rules, and what com
     ) for path in ("group/1.json.gz", "keyframe/T0/1.bin")},
     "a group without its keyframe is lost, and the last picture stands for its time": (
         TINY, FAST, "paper-no-cliff", {"faults": missing("keyframe/T0/1.bin")},
-        {"rungs shown": [None, "Q0+L0"], "lost_frames": 10, "psnr_mean": 40.0, "waits": [0, 0]}),
+        {"rungs shown": [None, "Q0+L0"], "lost_frames": 10, "psnr_mean": 40.0, "waits": [0, 0],
+        "whys": ["tables", "tables", "6300 B fit 900000 B", "tables", "6300 B fit 900000 B"]}),
+    "nothing fits from the first choice on": (TINY, link([2e4]), "paper-no-cliff", {}, {
+        "rungs shown": ["Q1+L2"] * 2, "whys": ["tables", *["tables", "nothing fits 2250 B, taking the smallest"] * 2]}),
     "all is lost": (TINY, FAST, "paper-no-cliff", {"faults": missing(*TINY.group_files(0), *TINY.group_files(1))},
         {"rungs shown": [None, None], "psnr_mean": None, "lost_frames": 20, "rungs": {"lost": 2}}),
     **{f"a missing table costs {policy} its group": (ALIKE, FAST, policy, {"faults": missing("group/2.json.gz")},
