@@ -103,6 +103,7 @@ def _lines(where: str) -> int:
     path = Path(airgs_codec.__file__).parent / (module if "/" in module else f"encoder/{module}")
     text = path.with_suffix(".py").read_text(encoding="utf-8")
     nodes = [node for node in ast.walk(ast.parse(text)) if name and getattr(node, "name", "") == name]
+    assert nodes or not name, f"{where}: expected a function or a class of this name"
     return sum(len((ast.get_source_segment(text, node) or "").splitlines()) for node in nodes) or text.count("\n")
 
 
@@ -143,7 +144,7 @@ MECHANISMS = (
         _set(keyframes="intra"),
     ),
     Mechanism(
-        "Gaussians of later groups in a keyframe", "plan:until survey:joined",
+        "Gaussians of later groups in a keyframe", "survey:joined",
         _patched((publish, "choose", partial(decide.choose, run=0))),
     ),
     Mechanism("trial encodes", "steps sample", _set(calibrate="none")),
@@ -152,7 +153,7 @@ MECHANISMS = (
         _set(calibrate="steps"),
     ),
     Mechanism(
-        "slopes of linear motion", "deltas:CodedSlopes deltas:_lines deltas:_write_again sample:with_slopes",
+        "slopes of linear motion", "deltas:CodedSlopes deltas:_write_rest sample:with_slopes",
         _patched((CalibrationSample, "with_slopes", lambda self, *_: self)),
     ),
     Mechanism(
