@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 
 from airgs_codec import Gaussians, decode, open_package
 from airgs_codec.media.image import write_png
-from airgs_codec.media.metrics import psnr
+from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.render import Camera, look_at, render
+from airgs_codec.scene.camera import with_near_planes
 from airgs_codec.scene.gaussians import SH_REST
 from tools.lab import Lab, Page, Row, Section, Table, setting
 from tools.lab.made import encoded, name_of
@@ -43,6 +44,7 @@ COLUMNS = {
     "scene": ("scene", ""), "engine": ("engine", ""), "tuned": ("lowest of three places, dB", ".1f"),
     "tuned_close": ("close, dB", ".1f"), "default": ("as it comes, lowest of three", ".1f"),
 }  # fmt: skip
+WHITE = np.float32(255)
 PAGE = '<!doctype html><link rel="icon" href="data:," /><body><script type="module" src="engines.js"></script>'
 
 Picture = NDArray[np.uint8]  # (H, W, 3)
@@ -68,8 +70,7 @@ def run(options: Options, lab: Lab) -> Page:
 
 def measure(name: str, scene: Scene, size: int, keep: Path) -> Iterator[Row]:
     """A row for each engine, of PSNR in dB: the lowest of three places and the close one, in each variant."""
-    cameras = [view.camera(size, scene.fov_y) for view in scene.views]
-    truth = [np.round(render(scene.gaussians, c).rgb.clip(0, 1) * 255).astype(np.uint8) for c in cameras]
+    truth = [np.round(render(scene.gaussians, c).rgb.clip(0, 1) * 255).astype(np.uint8) for c in scene.cameras(size)]
     with tempfile.TemporaryDirectory() as folder, served_folder(Path(folder)) as url:
         write_page(Path(folder), scene, size)
         for engine in ENGINES:
@@ -78,13 +79,9 @@ def measure(name: str, scene: Scene, size: int, keep: Path) -> Iterator[Row]:
                 pictures = drawn(url, ENGINES[engine], variant, size)
                 sheet = np.concatenate([np.concatenate(line, axis=1) for line in (pictures, truth)])
                 write_png(keep / f"{name}-{engine}-{variant}.png", sheet)
-                *places, close = (_psnr(p, t) for p, t in zip(pictures, truth, strict=True))
+                *places, close = (psnr(mse(p / WHITE, t / WHITE)) for p, t in zip(pictures, truth, strict=True))
                 row |= {variant: min(places), f"{variant}_close": close}
             yield row
-
-
-def _psnr(picture: Picture, truth: Picture) -> float:
-    return psnr(float(np.mean((picture.astype(np.float64) - truth) ** 2)) / 255**2)
 
 
 def versions() -> str:
@@ -116,6 +113,9 @@ class Scene:
     gaussians: Gaussians
     views: list[View]
     fov_y: float  # degrees
+
+    def cameras(self, size: int) -> list[Camera]:
+        return with_near_planes([view.camera(size, self.fov_y) for view in self.views], self.gaussians)
 
 
 def read_scene(name: str, rows: int, frame: int) -> Scene:
@@ -153,7 +153,7 @@ def columns(g: Gaussians) -> bytes:
 def write_page(folder: Path, scene: Scene, size: int) -> None:
     g = scene.gaussians
     header = {"rows": len(g), "channels": 3 * (1 + g.sh_rest.shape[1]), "size": size, "fov_y": scene.fov_y}
-    header |= {"near": scene.views[0].camera(size, scene.fov_y).near, "views": [asdict(v) for v in scene.views]}
+    header |= {"near": scene.cameras(size)[0].near, "views": [asdict(v) for v in scene.views]}
     (folder / "views.json").write_text(json.dumps(header))
     (folder / "rows.bin").write_bytes(columns(g))
     (folder / "page.html").write_text(PAGE)
