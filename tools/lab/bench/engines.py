@@ -44,7 +44,6 @@ COLUMNS = {
     "scene": ("scene", ""), "engine": ("engine", ""), "tuned": ("lowest of three places, dB", ".1f"),
     "tuned_close": ("close, dB", ".1f"), "default": ("as it comes, lowest of three", ".1f"),
 }  # fmt: skip
-WHITE = np.float32(255)
 PAGE = '<!doctype html><link rel="icon" href="data:," /><body><script type="module" src="engines.js"></script>'
 
 Picture = NDArray[np.uint8]  # (H, W, 3)
@@ -79,7 +78,8 @@ def measure(name: str, scene: Scene, size: int, keep: Path) -> Iterator[Row]:
                 pictures = drawn(url, ENGINES[engine], variant, size)
                 sheet = np.concatenate([np.concatenate(line, axis=1) for line in (pictures, truth)])
                 write_png(keep / f"{name}-{engine}-{variant}.png", sheet)
-                *places, close = (psnr(mse(p / WHITE, t / WHITE)) for p, t in zip(pictures, truth, strict=True))
+                pairs = (np.divide(pair, 255, dtype=np.float32) for pair in zip(pictures, truth, strict=True))
+                *places, close = (psnr(mse(*pair)) for pair in pairs)
                 row |= {variant: min(places), f"{variant}_close": close}
             yield row
 
