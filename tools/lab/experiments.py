@@ -144,7 +144,7 @@ MEASUREMENTS = (
     ),
     Measurement("mechanisms-basketball", "mechanisms", "mechanisms basketball/"),
     Measurement(
-        "mechanisms-trainer", "mechanisms", "mechanisms fox_views/:8:13 kinoptic_views/:0:5 kinoptic_views/:8:13"
+        "mechanisms-trainer", "mechanisms", "mechanisms fox_views/:8:13 kinoptic_views/:8:13"
     ),
     Measurement(
         "mechanisms-motion", "mechanisms",
