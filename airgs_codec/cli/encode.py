@@ -117,7 +117,7 @@ def encode(options: Encode) -> int:
     sound = encode_sound(options.audio, len(sequence) / sequence.fps) if options.audio else None
     _say_what_was_found(options, sequence, sound.note if sound else None, quiet)
     sequence = replace(sequence, credit=options.attribution or sequence.attribution, sound_track=sound)
-    sequence, goal = hold_frames(sequence), _goal(options, float(sequence.fps))
+    sequence, goal = (given := hold_frames(sequence)), _goal(options, float(sequence.fps))
     wanted = False if options.track is None and options.preset == "fast" else options.track
     track, words = will_track(sequence, wanted, settings.rows)
     if words:
@@ -140,7 +140,7 @@ def encode(options: Encode) -> int:
         if options.report:
             from airgs_codec.inspect.report import write_report  # loads what draws and plays, too
 
-            write_report(options.report, sequence, open_package(target), done, bar)
+            write_report(options.report, given, open_package(target), done, bar)
     for decision in done.manifest.decisions:
         if decision.startswith(GUESS):
             warn(decision)

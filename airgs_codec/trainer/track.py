@@ -37,7 +37,7 @@ from airgs_codec.trainer.settings import TrainSettings
 
 DRAWN_VIEWS, DRAWN_PIXELS = 32, 65_536
 CHUNK_FRAMES = 30
-SAVES = "takes a seventh to a half of the bytes"  # a head with noise, a fox whose frames were trained singly
+SAVES = "takes a thirteenth to a half of the bytes"  # docs/results/size.md
 
 
 def decide(sequence: GaussianSequence, wanted: bool | None = None, rows: str = AUTO) -> tuple[bool, str]:

@@ -133,7 +133,7 @@ def test_chunks_are_tracked_alike_whoever_does_them_and_two_frames_as_well(tmp_p
 def test_frames_that_share_no_rows_are_tracked_unless_somebody_says_otherwise(clean, given, tmp_path, capsys):
     tracks, line = track.decide(given)
     assert tracks and "--no-track" in line
-    assert "tracked first, which takes a seventh" in line, line
+    assert "tracked first, which takes a thirteenth" in line, line
     for wanted, rows in ((False, "auto"), (None, "match")):
         tracks, line = track.decide(given, wanted, rows)
         assert not tracks and "coded one by one; " in line and "--track" in line
@@ -163,6 +163,10 @@ def test_a_folder_of_frames_is_trained_into_a_model_that_encodes_as_it_is(given,
     assert "--sync: expected multi-view" in err and "tracked first, which" in err and "5 frames of 64x64, 32" in out
     model = airgs.train(given, tmp_path / "p", device="cpu")
     assert files(tmp_path / "p")[0] == files(tmp_path / "m")[0] and model.finished()
+    compared = []
+    monkeypatch.setattr("airgs_codec.inspect.report.write_report", lambda _, sequence, *__: compared.append(sequence))
+    assert faces.airgs_encode([words[0], "-o", str(tmp_path / "x"), "--device", "cpu", "--report", str(tmp_path)]) == 0
+    assert [len(g) for g in compared[0]] == [len(g) for g in given], "the report has what was given beside the package"
     sequence = faces.open_sequence(tmp_path / "m")
     assert len({header.count for header in sequence.headers}) == 1 and sequence.notes[-1].startswith("tracked: 1 key")
     with pytest.raises(faces.SceneError, match="not tracked: its rows are in order already"):

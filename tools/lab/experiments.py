@@ -64,8 +64,8 @@ class Measurement:
 
 
 # In the folder of scenes, talk/ is that of the showcase; frames of fox_alone/ are those of naive 3DGS, 8 of fox_views/
-# with cam01, 05, 09 and 13 held out, as in its transforms.json. fox_b.json holds out cam02, 06, 11 and 14 of fox/, and
-# fox_plain/ is fox/ without cameras.
+# with cam01, 05, 09 and 13 held out, as in its transforms.json. fox_b/ and fox_plain/ are fox/ without
+# cameras, and fox_b.json holds out cam02, 06, 11 and 14.
 # fox_128/ is tests/data/fox_views, head_views/ what `tools.make_footage` makes of head/ from cameras around it.
 PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
 MEASUREMENTS = (
@@ -143,14 +143,7 @@ MEASUREMENTS = (
         "mechanisms fox/=fox/transforms.json fox_b/=fox_b.json head/@head_held.json spinach25/=spinach_views.json",
     ),
     Measurement("mechanisms-basketball", "mechanisms", "mechanisms basketball/"),
-    Measurement(
-        "mechanisms-trainer", "mechanisms", "mechanisms fox_views/:8:13 kinoptic_views/:8:13"
-    ),
-    Measurement(
-        "mechanisms-motion", "mechanisms",
-        "mechanisms fox_views/:8:13 kinoptic_views/:0:5 --only 'motion goes on, in as many iterations' "
-        "'coarse pictures first'",
-    ),
+    Measurement("mechanisms-trainer", "mechanisms", "mechanisms fox_views/:8:13 kinoptic_views/:8:13"),
     Measurement(
         "mechanisms-exposure", "mechanisms",
         "mechanisms basketball_views/:0:3 --only 'exposure of cameras' 'nothing but other random numbers'",

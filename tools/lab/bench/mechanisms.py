@@ -236,10 +236,6 @@ OF_TRAINING = (
     Mechanism(
         "motion goes on", f"{FIT}trainer:_is_foreseen {FIT}trainer:_start", _set(velocity=False), behind=True
     ),
-    Mechanism(
-        "motion goes on, in as many iterations", f"{FIT}trainer:_is_foreseen {FIT}trainer:_start",
-        _both(_set(velocity=False), _patched((frame_fit, "UNFORESEEN", 1.0))), behind=True,
-    ),
     Mechanism("coarse pictures first", f"{FIT}optimise:halve", _set(coarse=0.0), behind=True),
     Mechanism("temporal loss", f"{FIT}losses:temporal_weights", _set(temporal=Temporal(weight=0.0)), behind=True),
     Mechanism("only what is better is taken", f"{FIT}losses:better", _set(keep_better=False), behind=True),
