@@ -86,7 +86,7 @@ from airgs_codec.inspect.compare import (
 
 # Decoding
 from airgs_codec.decoder.decode import (
-    decode, decode_canonical, decode_frames, decode_keyframe, decode_pictures, decode_segment,
+    decode, decode_canonical, decode_frames, decode_pictures, decode_segment,
 )  # fmt: skip
 
 # Rendering and measuring pictures
@@ -97,7 +97,7 @@ from airgs_codec.media.metrics import Difference, PSNR_CAP, Picture, Quality, de
 
 # Training
 from airgs_codec.trainer import train
-from airgs_codec.trainer.settings import Temporal, TrainSettings, preset, settings_from_table
+from airgs_codec.trainer.settings import Temporal, TrainSettings, preset
 from airgs_codec.trainer.frames import Capture
 from airgs_codec.trainer.data.multiview import (
     MultiviewScene, Points, Shot, with_held_out, with_near,

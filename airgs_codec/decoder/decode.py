@@ -154,13 +154,6 @@ class Shown:
         return values
 
 
-def decode_keyframe(package: Package, group: int, tier: int, quality: int) -> tuple[NDArray[np.int32], KeyframeSidecar]:
-    """Return the codes (c, n) of a keyframe tier, n = 0 without a picture, and its sidecar. Raises FormatError."""
-    shown, sidecar = read_keyframe(package, group, tier, quality)
-    atlas = package.manifest.groups[group].tiers[tier].qualities[quality]
-    return shown.codes() if shown else np.empty((len(atlas.centres), 0), np.int32), sidecar
-
-
 def read_keyframe(package: Package, group: int, tier: int, quality: int) -> tuple[Shown | None, KeyframeSidecar]:
     """Return the picture of a keyframe tier, None where it has none, and its sidecar in that quality. Raises
     FormatError.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
@@ -152,12 +151,6 @@ def named_background(text: str | None) -> Background | None:
         if all(0 <= value <= 1 for value in (r, g, b)):
             return r, g, b
     raise ConfigError(f"expected a background of black, white, random or R,G,B of 0 to 1, got {text!r}")
-
-
-def settings_from_table(table: Mapping[str, Any]) -> TrainSettings:
-    """Return the settings of a table from JSON, with null for infinity. Raises ConfigError, TypeError for names."""
-    drop = math.inf if table["max_drop_db"] is None else table["max_drop_db"]
-    return TrainSettings(**{**table, "temporal": Temporal(**table["temporal"]), "max_drop_db": drop})
 
 
 def preset(name: str, settings: TrainSettings) -> TrainSettings:

@@ -11,7 +11,8 @@ import pytest
 
 from airgs_codec.play.film import screen_frames
 from tests import faces
-from tests.faces import FormatError, decode_canonical, decode_keyframe, decode_segment, measure_errors, open_package
+from tests.faces import FormatError, decode_canonical, decode_segment, measure_errors, open_package
+from tests.support.digests import decode_keyframe
 from tests.support.manifests import missing, with_segments
 from tests.support.packages import PACKAGES
 

@@ -13,6 +13,7 @@ from airgs_codec.encoder.publish import draw_poster
 from airgs_codec.media.h264 import open_segment
 from tests import faces
 from tests.faces import ConfigError, EncodeSettings, LevelSettings, decode, decode_canonical, decode_frames, psnr
+from tests.support.digests import decode_keyframe
 from tests.support.mutations import read_files
 from tests.support.packages import PACKAGES, laid_out
 from tests.support.paths import FOX, VALID
@@ -102,7 +103,7 @@ def test_keyframe_codes_are_within_the_codecs_error_and_means_within_half_a_cell
         steps = np.outer(faces.KEYFRAME.steps(group.keyframe_steps, m.colour_channels), np.repeat(factors, counts))
         for q, quality in enumerate(m.qualities):
             if group.base is None:
-                codes = np.concatenate([faces.decode_keyframe(fox, g, t, q)[0] for t in range(2)], axis=1)
+                codes = np.concatenate([decode_keyframe(fox, g, t, q)[0] for t in range(2)], axis=1)
                 error = codes / m.keyframe_gain - layout.keyframe_values() / (steps * quality.factor)
                 assert np.abs(error).max() <= 2.5 and np.sqrt(np.mean(error**2)) <= 0.5
             error = np.abs(decode_canonical(fox, g, q).means - layout.keyframe.means).max(axis=1)

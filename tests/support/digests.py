@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from hashlib import sha256
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from airgs_codec.coding.atlas import read_codes
-from airgs_codec.decoder.decode import decode_keyframe, decode_pictures
+from airgs_codec.decoder.decode import decode_pictures, read_keyframe
 
 if TYPE_CHECKING:
     from tests.faces import Manifest, Package
@@ -23,6 +23,13 @@ def decode_slopes(package: Package, index: int, level: int) -> np.ndarray | None
     shown = next(decode_pictures(package, index, level, range(1)))
     atlas = replace(shown.atlas, centres=[0] * len(shown.atlas.centres))
     return None if shown.slopes is None else read_codes(shown.slopes[0], atlas, shown.slopes[1])
+
+
+def decode_keyframe(package: Package, group: int, tier: int, quality: int) -> tuple[np.ndarray, Any]:
+    """Codes (c, n) of a keyframe tier, n = 0 without a picture, and its sidecar."""
+    shown, sidecar = read_keyframe(package, group, tier, quality)
+    atlas = package.manifest.groups[group].tiers[tier].qualities[quality]
+    return shown.codes() if shown else np.empty((len(atlas.centres), 0), np.int32), sidecar
 
 
 def digest(codes: np.ndarray) -> str:

@@ -216,12 +216,6 @@ def test_settings_that_cannot_work_are_refused(wrong):
         TrainSettings(**wrong)
 
 
-@pytest.mark.parametrize("name", ["default", "paper"])
-def test_settings_come_back_from_their_table(name):
-    settings = faces.preset(name, TrainSettings(seed=3, max_size=64))
-    assert faces.settings_from_table(json.loads(json.dumps(settings.table()).replace("Infinity", "null"))) == settings
-
-
 def test_a_first_frame_sees_every_view_often():
     for settings, expected in ((TrainSettings(), [1500, 3024]), (TrainSettings(first_iterations=7), [7, 7])):
         assert [settings.iterations_from_scratch(views) for views in (16, 84)] == expected

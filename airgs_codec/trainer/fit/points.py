@@ -29,19 +29,27 @@ from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians
 from airgs_codec.trainer.data.multiview import Points
 from airgs_codec.trainer.data.pictures import View
 
+NEAREST = 100  # a step of means in an extent of 1,000 distances carries what is near out of view, in one of 100 not
+
 
 def scene_extent(cameras: Sequence[Camera], points: Points | None = None) -> float:
     """Return the size of a scene in world units: 1.1 times the largest distance of a camera to their centre (3DGS).
 
     It is at least the median distance of the points to that centre: a narrow rig would make steps and sizes too small
-    for what it sees. 1 where all cameras are in one place and there are no points.
+    for what it sees. What is near limits it (`held`). 1 where all cameras are in one place and there are no points.
     """
     places = np.stack([camera.position for camera in cameras])
     centre = places.mean(axis=0)
     extent = 1.1 * float(np.linalg.norm(places - centre, axis=1).max())
     if points is not None and len(points.positions):
         extent = max(extent, float(np.median(np.linalg.norm(points.positions - centre, axis=1))))
+        extent = held(extent, places, points.positions)
     return extent or 1.0
+
+
+def held(extent: float, places: NDArray[np.float64], positions: NDArray[np.floating]) -> float:
+    """Return the extent, at most NEAREST distances of cameras (V, 3) to the nearest tenth of some positions (P, 3)."""
+    return min(extent, NEAREST * float(np.quantile(cKDTree(places).query(positions)[0], 0.1)))
 
 
 def initial_points(given: Points | None, views: Sequence[View], fewest: int, rng: np.random.Generator) -> Points:

@@ -19,7 +19,7 @@ import numpy as np
 from airgs_codec.coding.atlas import slope_times
 from airgs_codec.coding.sidecar import grid_means
 from airgs_codec.media.h264 import open_segment
-from tests.faces import Package, decode_keyframe, decode_pictures, open_package
+from tests.faces import Package, decode_pictures, open_package
 from tests.makers.vectors.values import (
     ATTRIBUTES,
     STATIC,
@@ -30,7 +30,7 @@ from tests.makers.vectors.values import (
     listed,
     unpack_transform,
 )
-from tests.support.digests import decode_slopes
+from tests.support.digests import decode_keyframe, decode_slopes
 from tests.support.paths import GOLDEN, REPOSITORY, VALID
 from tests.support.vectors import Table, binary
 

@@ -17,6 +17,7 @@ page's picture the last frame from the best, the middle and the lowest held-out 
 
 from __future__ import annotations
 
+import math
 import shlex
 import subprocess
 import sys
@@ -42,7 +43,7 @@ from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.data.sync import in_step
 from airgs_codec.trainer.frames import frame_before
 from airgs_codec.trainer.record import ModelFolder, known_offsets, read_model
-from airgs_codec.trainer.settings import settings_from_table
+from airgs_codec.trainer.settings import Temporal, TrainSettings
 from tools.lab import Lab, Page, PagePicture, Section, Table, required, rows_of, setting
 
 if TYPE_CHECKING:
@@ -185,7 +186,9 @@ def shown_to(model: ModelFolder, views: Sequence[View]) -> list[Gaussians]:
 
 def open_pictures(scene: MultiviewScene, model: ModelFolder) -> ScenePictures:
     """The pictures that a model was trained on, and those of its held-out cameras, in the look of the model."""
-    settings = settings_from_table(model.record.settings)
+    table = model.record.settings
+    drop = math.inf if table["max_drop_db"] is None else table["max_drop_db"]
+    settings = TrainSettings(**{**table, "temporal": Temporal(**table["temporal"]), "max_drop_db": drop})
     near = min(camera.near for camera in read_cameras(model.folder))
     pictures = ScenePictures(with_near(scene, near), settings)
     return pictures.with_exposure(model.record.exposure) if model.record.exposure else pictures
