@@ -64,8 +64,8 @@ class Measurement:
 
 
 # In the folder of scenes, talk/ is that of the showcase; frames of fox_alone/ are those of naive 3DGS, 8 of fox_views/
-# with cam01, 05, 09 and 13 held out, as in its transforms.json. fox_b/ is fox/ without cameras, fox_b.json
-# holds out cam02, 06, 11 and 14. For `pace` fox/ has no cameras, fox_cameras/ has them.
+# with cam01, 05, 09 and 13 held out, as in its transforms.json. fox_b/ and fox_plain/ are fox/ without
+# cameras, and fox_b.json holds out cam02, 06, 11 and 14.
 # fox_128/ is tests/data/fox_views, head_views/ what `tools.make_footage` makes of head/ from cameras around it.
 PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
 MEASUREMENTS = (
@@ -148,7 +148,7 @@ MEASUREMENTS = (
         "mechanisms-exposure", "mechanisms",
         "mechanisms basketball_views/:0:3 --only 'exposure of cameras' 'nothing but other random numbers'",
     ),
-    Measurement("pace", "time", "pace fox/ fox_cameras/ head/ --trees 3a92d83c now"),
+    Measurement("pace", "time", "pace fox/ fox_plain/ head/ --trees 3a92d83c now"),
     Measurement("scale", "time", "scale"),
     Measurement("jobs", "time", "jobs"),
     Measurement("soak-farm", "time", "soak-farm --groups 60 --kills 12"),
