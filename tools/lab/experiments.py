@@ -145,6 +145,10 @@ MEASUREMENTS = (
     Measurement("mechanisms-basketball", "mechanisms", "mechanisms basketball/"),
     Measurement("mechanisms-trainer", "mechanisms", "mechanisms fox_views/:8:13 kinoptic_views/:8:13"),
     Measurement(
+        "mechanisms-sparse", "mechanisms",
+        "mechanisms kinoptic_views/:0:5 --only 'walls around a sparse rig' 'dropout in a sparse rig'",
+    ),
+    Measurement(
         "mechanisms-exposure", "mechanisms",
         "mechanisms basketball_views/:0:3 --only 'exposure of cameras' 'nothing but other random numbers'",
     ),

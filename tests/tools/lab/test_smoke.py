@@ -58,7 +58,7 @@ ALONE = {
     make_footage: "fox --frames 0:1 --max-size 24 --points 50",
 }
 TWINS = {"rd-spinach", "rd-talk", "tracked-fox", "splits-basketball", "splits-kinoptic"}
-TWINS |= {f"mechanisms-{name}" for name in ("basketball", "trainer", "exposure")}
+TWINS |= {f"mechanisms-{name}" for name in ("basketball", "trainer", "sparse", "exposure")}
 
 
 def encode(sequence, folder, settings=None, goal=None, **_):
