@@ -355,7 +355,7 @@ def format_two(record: Mapping[str, Any], views: str, notes: Iterable[str] = ())
             f"SSIM    {q['ssim']:.4f}",
             f"ΔE2000  {q['delta_e']:.2f}",
             f"bytes   {compared['bytes_per_frame'] / record['reference']['bytes_per_frame']:.3g} times those of A",
-            f"worst   {q['low']:.2f} dB: {LOW:.0%} of the pictures have less",
+            f"worst   {q['low']:.2f} dB: {100 * LOW:g} % of the pictures have less",
             "lowest  {psnr:.2f} dB, frame {frame}, camera {camera}".format(**record["lowest"]),
         ]
     )
