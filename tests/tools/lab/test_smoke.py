@@ -36,7 +36,7 @@ RUNS = {  # by the names of what is published: commands, in a folder with the sc
     "mechanisms": "mechanisms fox@fox/transforms.json views/fox:0:3 --only 'colour transform' "
     "'keyframes as differences' 'empty space stays empty' 'motion goes on'",
     "static": "static fox/000000.ply",
-    "tracked-head": "tracked head120 head120/transforms.json --frames 2",
+    "tracked-head": "tracked head head/transforms.json --frames 2",
     "paper": "reproduce --scenes fox=views/fox,frames=0:4 --methods airgs-paper naive3dgs --traces traces --share .01",
     "splits-fox": "splits views/fox --splits 1 --hold 2 --frames 0:2",
     "work-precision": "work-precision --fox fox --only decode --quick",
@@ -127,7 +127,7 @@ INSTEAD = {
 
 
 def write_scenes(folder):
-    for name in ("fox", "head120"):
+    for name in ("fox", "head"):
         write_demo(folder / name, frames=4, rows=700, scale=0.1)
     write_blobs(folder / "views" / "fox")
     (folder / "traces").mkdir()
