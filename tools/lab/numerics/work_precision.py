@@ -157,7 +157,7 @@ def draw(question: Question, rows: Sequence[Row], figure: Figure) -> None:
         axis.set_title(scene, fontsize=11, loc="left")
         axis.set_xlabel(question.time)
         if len({row.curve for row in some}) > 1:
-            axis.legend(loc="upper right", fontsize=8)
+            axis.legend(fontsize=8)
 
 
 def draw_curves(axis: Axes, question: Question, rows: list[Row]) -> None:
