@@ -144,7 +144,7 @@ def beside(question: Question, rows: Sequence[Row]) -> Iterator[dict[str, Any]]:
             known: dict[str, Any] = {"question": question.name, "scene": scene, "curve": row.curve}
             known |= {"setting": row.setting, "beside": base.setting, "time": row.seconds / base.seconds}
             mine, other = ([sign * value for value in one.samples] for one in (row, base))
-            found = difference(mine, other) if row.samples else None  # measured once: nobody knows
+            found = difference(mine, other) if len(row.samples) > 1 else None  # measured once: nobody knows
             known |= {"gain": sign * (row.error - base.error), "gain_from": found and found.low}
             yield known | {"gain_to": found and found.high, "sign": found and found.sign, "unit": question.unit}
 
