@@ -90,12 +90,11 @@ async function pixels(): Promise<Uint8Array> {
 
 /** Both eyes beside each other, when they do not change any more: the order in depth comes later than the view. */
 async function eyes(): Promise<string> {
-  for (let before = await pixels(); ; ) {
+  for (let before = await pixels(), same = 0; ; ) {
     for (let frame = 0; frame < FRAMES || sorting; frame++) await pixels();
     const now = await pixels();
-    if (now.every((value, i) => value === before[i])) {
-      return btoa(Array.from(now, (byte) => String.fromCharCode(byte)).join(""));
-    }
+    same = now.every((value, i) => value === before[i]) ? same + 1 : 0;
+    if (same === 3) return btoa(Array.from(now, (byte) => String.fromCharCode(byte)).join(""));
     before = now;
   }
 }
