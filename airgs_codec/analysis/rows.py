@@ -22,7 +22,7 @@ from airgs_codec.scene.sequence import GaussianSequence
 
 ROWS = ("auto", "keep", "match")
 AUTO, KEEP, MATCH = ROWS
-COST = "a frame coded alone takes two to twenty times the bytes of a tracked one"  # docs/results/size.md
+COST = "a frame coded alone takes two to thirteen times the bytes of a tracked one"  # docs/results/size.md
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -29,26 +29,26 @@ from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians
 from airgs_codec.trainer.data.multiview import Points
 from airgs_codec.trainer.data.pictures import View
 
-NEAREST = 100  # a step of means in an extent of 1,000 distances carries what is near out of view, in one of 100 not
+NEAREST = 100  # distances to what is near: in an extent of 1,000, one step would carry it out of view
 
 
 def scene_extent(cameras: Sequence[Camera], points: Points | None = None) -> float:
     """Return the size of a scene in world units: 1.1 times the largest distance of a camera to their centre (3DGS).
 
     It is at least the median distance of the points to that centre: a narrow rig would make steps and sizes too small
-    for what it sees. What is near limits it (`held`). 1 where all cameras are in one place and there are no points.
+    for what it sees. `limited` by what is near. 1 where all cameras are in one place and there are no points.
     """
     places = np.stack([camera.position for camera in cameras])
     centre = places.mean(axis=0)
     extent = 1.1 * float(np.linalg.norm(places - centre, axis=1).max())
-    if points is not None and len(points.positions):
-        extent = max(extent, float(np.median(np.linalg.norm(points.positions - centre, axis=1))))
-        extent = held(extent, places, points.positions)
+    if points is not None and len(seen := points.positions[np.isfinite(points.positions).all(axis=1)]):
+        extent = max(extent, float(np.median(np.linalg.norm(seen - centre, axis=1))))
+        extent = limited(extent, places, seen)
     return extent or 1.0
 
 
-def held(extent: float, places: NDArray[np.float64], positions: NDArray[np.floating]) -> float:
-    """Return the extent, at most NEAREST distances of cameras (V, 3) to the nearest tenth of some positions (P, 3)."""
+def limited(extent: float, places: NDArray[np.float64], positions: NDArray[np.floating]) -> float:
+    """Return the extent, or NEAREST times the distance within which cameras (V, 3) have a tenth of positions (P, 3)."""
     return min(extent, NEAREST * float(np.quantile(cKDTree(places).query(positions)[0], 0.1)))
 
 

@@ -28,7 +28,7 @@ def test_a_scene_is_as_wide_as_its_rig_or_as_far_as_what_a_narrow_rig_sees():
     near, far = (Points(places.mean(axis=0) + np.array([[0, 0, z]]), None) for z in (0.1 * rig, 40 * rig))
     assert scene_extent(cameras) == pytest.approx(rig) == scene_extent(cameras, near)
     assert scene_extent(cameras, far) == pytest.approx(40 * rig)
-    both = np.concatenate([np.repeat(far.positions, 7, axis=0), cameras[0].position + np.eye(3) * rig / 50])
+    both = np.concatenate([np.tile(far.positions, (7, 1)), cameras[0].position + np.eye(3) * rig / 50, [[np.nan] * 3]])
     assert scene_extent(cameras, Points(both, None)) == pytest.approx(100 * rig / 50)
     assert scene_extent(cameras[:1]) == 1.0 == scene_extent(cameras[:1], Points(cameras[0].position[None], None))
 

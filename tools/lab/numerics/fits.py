@@ -17,7 +17,7 @@ from airgs_codec.trainer.data.pictures import TargetPicture, View
 from airgs_codec.trainer.fit import losses
 from airgs_codec.trainer.fit.losses import Parameters, from_gaussians, photometric, render_views, to_gaussians
 from airgs_codec.trainer.fit.optimise import Adam, PerGaussian, Schedule, optimise
-from airgs_codec.trainer.fit.points import held
+from airgs_codec.trainer.fit.points import limited
 from airgs_codec.trainer.fit.trainer import MOVING_RATES
 from airgs_codec.trainer.settings import TrainSettings
 from tools.lab.numerics.outcome import INVISIBLE, UNFIT, Case, Judged, fit_end, grid
@@ -103,7 +103,7 @@ def fit(
     base = from_gaussians(problem.start)
     variables = PerGaussian(
         base,
-        held(EXTENT, np.stack([camera.position for camera in problem.cameras]), problem.start.means),
+        limited(EXTENT, np.stack([camera.position for camera in problem.cameras]), problem.start.means),
         replace(problem.rates, factor=problem.rates.factor * factor),
         temporal=_price_of_changes(problem) if problem.temporal else None,
     )
